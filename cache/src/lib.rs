@@ -1,0 +1,1 @@
+//! Bytes at rest: the archive container, digests and atomic files. Knows nothing of voxels.

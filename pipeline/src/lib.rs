@@ -1,0 +1,2 @@
+//! The bake: a glTF scene in, archive sections out.
+pub mod scene;

@@ -1,0 +1,1 @@
+//! manyview: thousands to a million lights and views without ray-tracing hardware.
