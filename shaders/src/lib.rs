@@ -1,1 +1,2 @@
 //! The GPU contract.
+pub mod trig;
