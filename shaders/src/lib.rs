@@ -1,2 +1,11 @@
-//! The GPU contract.
+//! The GPU contract: what the bake writes and the runtime reads, every WGSL stage and its CPU twin. Knows no GPU API.
+pub mod device;
+pub mod directions;
+pub mod masks;
+pub mod octahedral;
 pub mod raster;
+pub mod rgb9e5;
+pub mod sections;
+pub mod srgb;
+pub mod svo;
+pub mod trig;

@@ -129,7 +129,7 @@ impl Raster {
         let s = grid.sub_bits;
         let half = 1i32 << (s - 1);
         let step = 1i32 << s;
-        let [mut a, mut b, mut c] = [0, 1, 2].map(|i| [triangle[i][x], triangle[i][y], triangle[i][z]]);
+        let [a, mut b, mut c] = [0, 1, 2].map(|i| [triangle[i][x], triangle[i][y], triangle[i][z]]);
         let mut pixel_min = [0; 2];
         let mut pixel_max = [0; 2];
         for i in 0..2 {
@@ -168,7 +168,8 @@ impl Raster {
         let d = |p: [i32; 3], q: [i32; 3], i: usize| i64::from(q[i] - p[i]);
         let plane_x = d(a, b, 2) * d(a, c, 1) - d(a, c, 2) * d(a, b, 1);
         let plane_y = d(a, b, 0) * d(a, c, 2) - d(a, c, 0) * d(a, b, 2);
-        let depth = i64::from(a[2]) * area + plane_x * i64::from(half - a[0]) + plane_y * i64::from(half - a[1]);
+        let depth =
+            i64::from(a[2]) * area + plane_x * i64::from(half - a[0]) + plane_y * i64::from(half - a[1]);
         Some(Self {
             axis,
             sub_bits: s,
@@ -284,7 +285,9 @@ pub fn fragments_basic(grid: Grid, triangle: &[[i32; 3]; 3], clip: &VoxelBox) ->
     for axis in 0..3 {
         let (x, y, z) = ((axis + 1) % 3, (axis + 2) % 3, axis);
         let v = triangle.map(|p| [i64::from(p[x]), i64::from(p[y]), i64::from(p[z])]);
-        let cross = |p: [i64; 2], q: [i64; 2], r: [i64; 2]| (q[0] - p[0]) * (r[1] - p[1]) - (q[1] - p[1]) * (r[0] - p[0]);
+        let cross = |p: [i64; 2], q: [i64; 2], r: [i64; 2]| {
+            (q[0] - p[0]) * (r[1] - p[1]) - (q[1] - p[1]) * (r[0] - p[0])
+        };
         let xy = |i: usize| [v[i][0], v[i][1]];
         let area = cross(xy(0), xy(1), xy(2));
         if area == 0 {
