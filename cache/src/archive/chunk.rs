@@ -1,0 +1,140 @@
+//! Chunks: pieces of content that are stored, checked and decoded each on its own.
+
+use std::cell::RefCell;
+use std::io;
+
+use zstd::bulk::{Compressor, Decompressor};
+
+use super::error::{ArchiveError, ArchiveErrorKind, corrupt, expect_equal};
+use super::format::{ChunkRecord, MAX_CHUNK_BYTES};
+use crate::digest::Digest;
+
+/// How the bytes of a chunk are stored.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+#[repr(u8)]
+pub enum Codec {
+    /// As they are.
+    Raw = 0,
+    /// As one zstd frame that tells its content size and has no checksum.
+    Zstd = 1,
+}
+
+impl Codec {
+    pub(super) fn from_stored(stored: u8) -> Result<Self, ArchiveError> {
+        match stored {
+            0 => Ok(Self::Raw),
+            1 => Ok(Self::Zstd),
+            found => Err(ArchiveErrorKind::UnsupportedCodec { found }.into()),
+        }
+    }
+}
+
+/// A chunk ready to be appended to an archive. Compressing, which takes the time, can so be done by many threads.
+#[derive(Clone, Debug, PartialEq, Eq)]
+pub struct CompressedChunk {
+    stored: Box<[u8]>,
+    raw_bytes: u32,
+    codec: Codec,
+    raw_digest: Digest,
+    stored_digest: Digest,
+}
+
+thread_local! {
+    /// With the level it is set to. Contexts take megabytes and much time to make, so each thread keeps one.
+    static COMPRESSOR: RefCell<Option<(i32, Compressor<'static>)>> = const { RefCell::new(None) };
+    static DECOMPRESSOR: RefCell<Option<Decompressor<'static>>> = const { RefCell::new(None) };
+    /// Room for a compressed chunk before its size is known.
+    static SCRATCH: RefCell<Vec<u8>> = const { RefCell::new(Vec::new()) };
+}
+
+impl CompressedChunk {
+    /// Compresses `raw` at a zstd `level` (1 fast, 19 small), or keeps it as it is where that is not smaller. The
+    /// result depends on nothing but the arguments.
+    ///
+    /// # Panics
+    /// Where `raw` is empty or larger than [`MAX_CHUNK_BYTES`].
+    pub fn compress(raw: &[u8], level: i32) -> Self {
+        assert!(!raw.is_empty(), "a chunk has content");
+        assert!(raw.len() <= MAX_CHUNK_BYTES, "{} bytes are more than a chunk takes", raw.len());
+        let raw_digest = Digest::of(raw);
+        // Compression into less than `raw.len()` bytes fails where it would not help.
+        let compressed = SCRATCH.with_borrow_mut(|scratch| {
+            scratch.resize(raw.len() - 1, 0);
+            compress_into(raw, level, scratch).ok().map(|size| Box::from(&scratch[..size]))
+        });
+        let (codec, stored) = match compressed {
+            Some(stored) => (Codec::Zstd, stored),
+            None => (Codec::Raw, Box::from(raw)),
+        };
+        let stored_digest = if codec == Codec::Raw { raw_digest } else { Digest::of(&stored) };
+        Self { stored, raw_bytes: raw.len() as u32, codec, raw_digest, stored_digest }
+    }
+
+    /// The bytes to store.
+    pub fn stored(&self) -> &[u8] {
+        &self.stored
+    }
+
+    /// The size of the content.
+    pub fn raw_bytes(&self) -> u32 {
+        self.raw_bytes
+    }
+
+    /// The digest of the content.
+    pub fn raw_digest(&self) -> Digest {
+        self.raw_digest
+    }
+
+    /// The entry in the index of this chunk at an `offset`.
+    pub(super) fn record_at(&self, offset: u64) -> ChunkRecord {
+        ChunkRecord {
+            offset,
+            stored_bytes: self.stored.len() as u32,
+            raw_bytes: self.raw_bytes,
+            codec: self.codec,
+            stored_digest: self.stored_digest,
+        }
+    }
+}
+
+fn compress_into(raw: &[u8], level: i32, stored: &mut [u8]) -> io::Result<usize> {
+    COMPRESSOR.with_borrow_mut(|slot| {
+        if slot.as_ref().is_none_or(|(current, _)| *current != level) {
+            *slot = Some((level, Compressor::new(level)?));
+        }
+        let Some((_, compressor)) = slot else { return Err(io::Error::other("no compressor")) };
+        compressor.compress_to_buffer(raw, stored)
+    })
+}
+
+/// Decodes the `stored` bytes of a chunk into `raw`, whose size must be the chunk's raw size. First the digest is
+/// checked, so that the decoder sees only what a writer wrote. Takes no memory beyond a fixed context per thread.
+pub fn decode_chunk(record: &ChunkRecord, stored: &[u8], raw: &mut [u8]) -> Result<(), ArchiveError> {
+    expect_equal("stored size", record.stored_bytes as usize, stored.len())?;
+    expect_equal("raw size", record.raw_bytes as usize, raw.len())?;
+    expect_equal("digest of the stored bytes", record.stored_digest, Digest::of(stored))?;
+    match record.codec {
+        Codec::Raw => {
+            expect_equal("stored size of a raw chunk", raw.len(), stored.len())?;
+            raw.copy_from_slice(stored);
+        }
+        Codec::Zstd => {
+            let written = DECOMPRESSOR.with_borrow_mut(|slot| {
+                if slot.is_none() {
+                    *slot = Some(Decompressor::new()?);
+                }
+                let Some(decompressor) = slot else { return Err(io::Error::other("no decompressor")) };
+                decompressor.decompress_to_buffer(stored, raw)
+            });
+            let expected = || format!("{} bytes", record.raw_bytes);
+            match written {
+                Ok(written) if written == raw.len() => {}
+                Ok(written) => {
+                    return Err(corrupt("content of the zstd frame", expected(), format!("{written} bytes")));
+                }
+                Err(error) => return Err(corrupt("content of the zstd frame", expected(), error)),
+            }
+        }
+    }
+    Ok(())
+}

@@ -1,0 +1,23 @@
+//! The archive container. The file layout is described at the [top of the crate](crate).
+
+mod chunk;
+mod error;
+mod format;
+mod reader;
+mod source;
+mod verify;
+mod writer;
+
+#[cfg(test)]
+mod tests;
+
+pub use chunk::{Codec, CompressedChunk, decode_chunk};
+pub use error::{ArchiveError, ArchiveErrorKind};
+pub use format::{
+    ALIGNMENT, ChunkRecord, FORMAT_VERSION, HEADER_BYTES, Header, Index, MAGIC, MAX_CHUNK_BYTES,
+    MAX_INDEX_BYTES, Section, SectionId, SectionName,
+};
+pub use reader::Archive;
+pub use source::ByteSource;
+pub use verify::VerifyReport;
+pub use writer::{ArchiveStats, ArchiveWriter, DEFAULT_LEVEL};

@@ -1,0 +1,196 @@
+//! Reading archives.
+
+use std::cell::RefCell;
+use std::collections::BTreeMap;
+use std::path::Path;
+
+use rayon::prelude::*;
+
+use super::chunk::decode_chunk;
+use super::error::{ArchiveError, ArchiveErrorKind, read_error};
+use super::format::{ChunkRecord, HEADER_BYTES, Header, Index, Section, SectionId, SectionName};
+use super::source::{ByteSource, FileSource};
+
+/// The largest section that is read unless the caller raises the limit.
+const DEFAULT_SECTION_LIMIT_BYTES: u64 = 16 << 30;
+
+/// How many chunks are decoded before memory for the next ones is touched.
+const CHUNKS_PER_WAVE: usize = 256;
+
+/// An archive open for reading: its header and index are read and checked, its content is not.
+pub struct Archive {
+    source: Box<dyn ByteSource>,
+    name: String,
+    header: Header,
+    index: Index,
+    section_numbers: BTreeMap<SectionId, usize>,
+    section_limit_bytes: u64,
+}
+
+impl Archive {
+    /// Opens the archive at `path`.
+    pub fn open(path: impl AsRef<Path>) -> Result<Self, ArchiveError> {
+        let path = path.as_ref();
+        let name = path.display().to_string();
+        match fs_err::File::open(path) {
+            Ok(file) => Self::from_source(Box::new(FileSource::new(file)), name),
+            Err(error) => Err(read_error(error).in_archive(&name)),
+        }
+    }
+
+    /// Opens an archive in memory.
+    pub fn from_bytes(bytes: Vec<u8>) -> Result<Self, ArchiveError> {
+        Self::from_source(Box::new(bytes), "archive in memory".to_owned())
+    }
+
+    /// Opens an archive anywhere. The `name` is for messages.
+    pub fn from_source(source: Box<dyn ByteSource>, name: String) -> Result<Self, ArchiveError> {
+        let (header, index) = read_index(&*source).map_err(|error| error.in_archive(&name))?;
+        let section_numbers =
+            index.sections.iter().enumerate().map(|(number, section)| (section.id, number)).collect();
+        let section_limit_bytes = DEFAULT_SECTION_LIMIT_BYTES;
+        Ok(Self { source, name, header, index, section_numbers, section_limit_bytes })
+    }
+
+    /// Sets the largest content that [`read_section`](Self::read_section) accepts (16 GiB unless set). A small file
+    /// can hold terabytes of zeros.
+    #[must_use]
+    pub fn with_section_limit(mut self, bytes: u64) -> Self {
+        self.section_limit_bytes = bytes;
+        self
+    }
+
+    /// The path or name, for messages.
+    pub fn name(&self) -> &str {
+        &self.name
+    }
+
+    /// The header.
+    pub fn header(&self) -> &Header {
+        &self.header
+    }
+
+    /// The sections, in the order of the file.
+    pub fn sections(&self) -> &[Section] {
+        &self.index.sections
+    }
+
+    /// The chunks of all sections, in the order of the file.
+    pub fn chunks(&self) -> &[ChunkRecord] {
+        &self.index.chunks
+    }
+
+    /// The section `item` of a kind, if there is one.
+    pub fn section(&self, name: &str, item: u32) -> Option<&Section> {
+        let id = SectionId { name: name.parse().ok()?, item };
+        self.section_numbers.get(&id).map(|&number| &self.index.sections[number])
+    }
+
+    /// The section `item` of a kind, which must be there.
+    pub fn expect_section(&self, name: &str, item: u32) -> Result<&Section, ArchiveError> {
+        let id = SectionId { name: name.parse::<SectionName>()?, item };
+        self.section(name, item).ok_or_else(|| self.name_error(ArchiveErrorKind::MissingSection.into(), id))
+    }
+
+    /// The content of a section of this archive. Its chunks are read, checked and decoded in parallel.
+    pub fn read_section(&self, section: &Section) -> Result<Vec<u8>, ArchiveError> {
+        let mut content = Vec::new();
+        self.read_section_into(section, &mut content)?;
+        Ok(content)
+    }
+
+    /// As [`read_section`](Self::read_section), into memory of the caller, whose old content is lost.
+    pub fn read_section_into(&self, section: &Section, content: &mut Vec<u8>) -> Result<(), ArchiveError> {
+        self.try_read_section(section, content).map_err(|error| self.name_error(error, section.id))
+    }
+
+    fn try_read_section(&self, section: &Section, content: &mut Vec<u8>) -> Result<(), ArchiveError> {
+        content.clear();
+        let limit_bytes = self.section_limit_bytes;
+        if section.raw_bytes > limit_bytes {
+            return Err(
+                ArchiveErrorKind::SectionTooLarge { raw_bytes: section.raw_bytes, limit_bytes }.into()
+            );
+        }
+        usize::try_from(section.raw_bytes)
+            .ok()
+            .and_then(|bytes| content.try_reserve_exact(bytes).ok())
+            .ok_or(ArchiveErrorKind::OutOfMemory { bytes: section.raw_bytes })?;
+        // Memory is touched wave by wave, so that an archive that claims much and holds little costs little.
+        for (wave, records) in self.index.chunks[section.chunk_range()].chunks(CHUNKS_PER_WAVE).enumerate() {
+            let start = content.len();
+            content.resize(start + records.iter().map(|record| record.raw_bytes as usize).sum::<usize>(), 0);
+            let mut rest = &mut content[start..];
+            let mut jobs = Vec::with_capacity(records.len());
+            for (number, record) in records.iter().enumerate() {
+                let (raw, behind) = rest.split_at_mut(record.raw_bytes as usize);
+                rest = behind;
+                jobs.push((section.chunk_range().start + wave * CHUNKS_PER_WAVE + number, record, raw));
+            }
+            // All jobs end before the first error in file order is returned: the same error for any thread count.
+            let results: Vec<_> = jobs
+                .into_par_iter()
+                .map(|(number, record, raw)| self.decode(record, raw).map_err(|error| error.in_chunk(number)))
+                .collect();
+            results.into_iter().collect::<Result<(), _>>()?;
+        }
+        Ok(())
+    }
+
+    /// The content of one chunk, by its number in [`chunks`](Self::chunks), into memory of the caller, whose old
+    /// content is lost.
+    ///
+    /// # Panics
+    /// Where there is no such chunk.
+    pub fn read_chunk(&self, number: u32, content: &mut Vec<u8>) -> Result<(), ArchiveError> {
+        let number = number as usize;
+        let record = &self.index.chunks[number];
+        content.clear();
+        content.resize(record.raw_bytes as usize, 0);
+        self.decode(record, content).map_err(|error| self.name_chunk_error(error, number))
+    }
+
+    /// Reads, checks and decodes a chunk.
+    pub(super) fn decode(&self, record: &ChunkRecord, raw: &mut [u8]) -> Result<(), ArchiveError> {
+        thread_local!(static STORED: RefCell<Vec<u8>> = const { RefCell::new(Vec::new()) });
+        if let Some(bytes) = self.source.in_memory() {
+            // Within bounds, as the index was checked against the size of the file.
+            return decode_chunk(record, &bytes[record.offset as usize..record.end() as usize], raw);
+        }
+        STORED.with_borrow_mut(|stored| {
+            stored.resize(record.stored_bytes as usize, 0);
+            self.source.read_exact_at(record.offset, stored).map_err(read_error)?;
+            decode_chunk(record, stored, raw)
+        })
+    }
+
+    pub(super) fn source(&self) -> &dyn ByteSource {
+        &*self.source
+    }
+
+    pub(super) fn name_error(&self, error: ArchiveError, section: SectionId) -> ArchiveError {
+        error.in_section(section).in_archive(&self.name)
+    }
+
+    pub(super) fn name_chunk_error(&self, error: ArchiveError, number: usize) -> ArchiveError {
+        let behind = self.index.sections.partition_point(|section| section.chunk_range().end <= number);
+        let error = match self.index.sections.get(behind) {
+            Some(section) => error.in_section(section.id),
+            None => error,
+        };
+        error.in_chunk(number).in_archive(&self.name)
+    }
+}
+
+fn read_index(source: &dyn ByteSource) -> Result<(Header, Index), ArchiveError> {
+    let file_bytes = source.byte_count().map_err(read_error)?;
+    let mut start = [0; HEADER_BYTES];
+    let start = &mut start[..file_bytes.min(HEADER_BYTES as u64) as usize];
+    source.read_exact_at(0, start).map_err(read_error)?;
+    let header = Header::decode(start, file_bytes)?;
+    // No larger than the limit and the file.
+    let mut bytes = vec![0; header.index_bytes as usize];
+    source.read_exact_at(header.index_offset, &mut bytes).map_err(read_error)?;
+    let index = Index::decode(&header, &bytes)?;
+    Ok((header, index))
+}

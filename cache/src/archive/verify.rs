@@ -1,0 +1,86 @@
+//! Checking every byte of an archive.
+
+use rayon::prelude::*;
+
+use super::error::{ArchiveError, corrupt, expect_equal, read_error};
+use super::format::{HEADER_BYTES, section_digest};
+use super::reader::Archive;
+use crate::digest::Digest;
+
+/// What [`Archive::verify`] found.
+#[derive(Debug)]
+pub struct VerifyReport {
+    /// How many sections were checked.
+    pub sections: usize,
+    /// How many chunks were checked.
+    pub chunks: usize,
+    /// The size of the content.
+    pub raw_bytes: u64,
+    /// The size of the file.
+    pub file_bytes: u64,
+    /// Everything that is wrong, in the order of the file. Empty for a sound archive.
+    pub failures: Vec<ArchiveError>,
+}
+
+impl VerifyReport {
+    /// Whether nothing is wrong.
+    pub fn is_sound(&self) -> bool {
+        self.failures.is_empty()
+    }
+}
+
+impl Archive {
+    /// Checks every chunk, every section's digest and the padding between chunks. Header and index were checked when
+    /// the archive was opened. Takes the memory of one chunk per thread.
+    pub fn verify(&self) -> VerifyReport {
+        let chunks: Vec<Result<Digest, ArchiveError>> = (0..self.chunks().len())
+            .into_par_iter()
+            .map_init(Vec::new, |raw, number| {
+                self.verify_chunk(number, raw).map_err(|error| self.name_chunk_error(error, number))
+            })
+            .collect();
+        let mut failures = Vec::new();
+        for section in self.sections() {
+            let range = section.chunk_range();
+            let sizes = self.chunks()[range.clone()].iter().map(|record| record.raw_bytes);
+            let digests: Option<Vec<_>> =
+                chunks[range].iter().map(|chunk| chunk.as_ref().ok().copied()).collect();
+            // The digest of a section with a broken chunk tells nothing new.
+            let Some(digests) = digests else { continue };
+            let found = section_digest(sizes.zip(digests));
+            if let Err(error) = expect_equal("digest of the content", section.digest, found) {
+                failures.push(self.name_error(error, section.id));
+            }
+        }
+        failures.extend(chunks.into_iter().filter_map(Result::err));
+        VerifyReport {
+            sections: self.sections().len(),
+            chunks: self.chunks().len(),
+            raw_bytes: self.sections().iter().map(|section| section.raw_bytes).sum(),
+            file_bytes: self.header().file_bytes,
+            failures,
+        }
+    }
+
+    /// Checks a chunk and the padding behind it; returns the digest of its content.
+    fn verify_chunk(&self, number: usize, raw: &mut Vec<u8>) -> Result<Digest, ArchiveError> {
+        let record = &self.chunks()[number];
+        raw.clear();
+        raw.resize(record.raw_bytes as usize, 0);
+        self.decode(record, raw)?;
+        let padding_end =
+            self.chunks().get(number + 1).map_or(self.header().index_offset, |next| next.offset);
+        // Less than the alignment, as the index was checked.
+        let mut padding = [0; HEADER_BYTES];
+        let padding = &mut padding[..(padding_end - record.end()) as usize];
+        self.source().read_exact_at(record.end(), padding).map_err(read_error)?;
+        if padding.iter().any(|&byte| byte != 0) {
+            return Err(corrupt(
+                "padding behind the chunk",
+                "zeros",
+                format!("{:?}", padding.escape_ascii().to_string()),
+            ));
+        }
+        Ok(Digest::of(raw))
+    }
+}

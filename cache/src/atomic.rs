@@ -1,0 +1,253 @@
+//! Output files that are either complete or absent.
+//!
+//! An output is written to a hidden file beside it, `.NAME.PID-N.mvpart`, and renamed over it once it is complete and
+//! on disk. Whoever fails, or is killed, leaves the old output as it was. A killed process leaves its hidden file; the
+//! next process to write the same output removes it. The owner of a hidden file holds a lock on it, so that a live
+//! process never loses its own.
+
+use std::ffi::{OsStr, OsString};
+use std::fmt;
+use std::fs::TryLockError;
+use std::io::{self, BufWriter, ErrorKind, Seek, SeekFrom, Write};
+use std::path::{Path, PathBuf};
+use std::sync::atomic::{AtomicU64, Ordering};
+
+/// The ending of unfinished files.
+const PART_SUFFIX: &str = ".mvpart";
+
+/// Large enough that a write is worth its system call.
+const BUFFER_BYTES: usize = 1 << 20;
+
+/// An output file could not be written. The output is as it was before.
+#[derive(Debug)]
+pub struct AtomicFileError {
+    /// The output, not the hidden file beside it.
+    pub path: PathBuf,
+    /// What was tried, as in "cannot … the file".
+    pub action: &'static str,
+    /// Why it failed.
+    pub source: io::Error,
+}
+
+impl fmt::Display for AtomicFileError {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        write!(f, "{}: cannot {}: {}", self.path.display(), self.action, self.source)?;
+        f.write_str(advice(self.source.kind()))
+    }
+}
+
+impl std::error::Error for AtomicFileError {
+    fn source(&self) -> Option<&(dyn std::error::Error + 'static)> {
+        Some(&self.source)
+    }
+}
+
+/// What to do about an error while writing, as the end of a sentence.
+pub(crate) fn advice(kind: ErrorKind) -> &'static str {
+    match kind {
+        ErrorKind::NotFound | ErrorKind::NotADirectory => "; make the folder first, or name another output",
+        ErrorKind::PermissionDenied | ErrorKind::ReadOnlyFilesystem => {
+            "; the folder must be writable, since the output is made beside its old version and then replaces it"
+        }
+        ErrorKind::StorageFull | ErrorKind::QuotaExceeded | ErrorKind::FileTooLarge => {
+            "; free some space (the old and the new output exist side by side for a moment)"
+        }
+        _ => "",
+    }
+}
+
+/// A file that appears under its name only when [committed](AtomicFile::commit); dropped without, it leaves no trace.
+pub struct AtomicFile {
+    /// `None` once committed or abandoned.
+    file: Option<BufWriter<fs_err::File>>,
+    part: PathBuf,
+    /// The path as given, for messages.
+    output: PathBuf,
+    /// The path to replace: `output`, or what it links to.
+    target: PathBuf,
+}
+
+impl AtomicFile {
+    /// Starts a new version of the file at `output`, whose folder must exist. Removes what killed processes left of
+    /// earlier versions.
+    pub fn create(output: impl AsRef<Path>) -> Result<Self, AtomicFileError> {
+        let output = output.as_ref();
+        let fail = |action| move |source| AtomicFileError { path: output.to_owned(), action, source };
+        let target = replaceable_target(output).map_err(fail("replace it"))?;
+        let name = target
+            .file_name()
+            .ok_or_else(|| io::Error::new(ErrorKind::InvalidInput, "the path names no file"))
+            .map_err(fail("create it"))?;
+        let folder = folder_of(&target);
+        remove_stale_parts(folder, name);
+        let (part, file) = create_part(folder, name).map_err(fail("create it"))?;
+        let file = BufWriter::with_capacity(BUFFER_BYTES, file);
+        Ok(Self { file: Some(file), part, output: output.to_owned(), target })
+    }
+
+    /// The path of the output.
+    pub fn path(&self) -> &Path {
+        &self.output
+    }
+
+    /// Puts the file on disk and in place of the old version.
+    pub fn commit(mut self) -> Result<(), AtomicFileError> {
+        let result = self.try_commit();
+        if result.is_err() {
+            self.abandon();
+        }
+        result.map_err(|(action, source)| AtomicFileError { path: self.output.clone(), action, source })
+    }
+
+    fn try_commit(&mut self) -> Result<(), (&'static str, io::Error)> {
+        let file = self.writer().map_err(|e| ("write it", e))?;
+        file.flush().map_err(|e| ("write it", e))?;
+        file.get_ref().sync_all().map_err(|e| ("write it to disk", e))?;
+        fs_err::rename(&self.part, &self.target).map_err(|e| ("replace it", e))?;
+        // From here on the output is the new one; the lock goes with the file handle.
+        self.file = None;
+        sync_folder(folder_of(&self.target)).map_err(|e| ("write its folder to disk", e))
+    }
+
+    fn writer(&mut self) -> io::Result<&mut BufWriter<fs_err::File>> {
+        self.file.as_mut().ok_or_else(|| io::Error::other("the file was already finished"))
+    }
+
+    fn abandon(&mut self) {
+        if let Some(file) = self.file.take() {
+            // Without its buffer: nobody will read it.
+            let (file, _) = file.into_parts();
+            // First the name, then the lock. Failing here is harmless: the next writer of this output removes the file.
+            _ = fs_err::remove_file(&self.part);
+            drop(file);
+        }
+    }
+}
+
+impl Drop for AtomicFile {
+    fn drop(&mut self) {
+        self.abandon();
+    }
+}
+
+impl Write for AtomicFile {
+    fn write(&mut self, bytes: &[u8]) -> io::Result<usize> {
+        self.writer()?.write(bytes)
+    }
+
+    fn flush(&mut self) -> io::Result<()> {
+        self.writer()?.flush()
+    }
+}
+
+impl Seek for AtomicFile {
+    fn seek(&mut self, position: SeekFrom) -> io::Result<u64> {
+        self.writer()?.seek(position)
+    }
+}
+
+/// Follows links, so that the file they lead to is replaced and not the link; refuses what a rename would destroy.
+fn replaceable_target(output: &Path) -> io::Result<PathBuf> {
+    match fs_err::symlink_metadata(output) {
+        Err(error) if error.kind() == ErrorKind::NotFound => Ok(output.to_owned()),
+        Err(error) => Err(error),
+        Ok(found) if found.is_file() => Ok(output.to_owned()),
+        Ok(found) if found.is_symlink() => {
+            let target = fs_err::canonicalize(output)?;
+            if fs_err::metadata(&target)?.is_file() { Ok(target) } else { Err(not_a_file(&target)) }
+        }
+        Ok(_) => Err(not_a_file(output)),
+    }
+}
+
+fn not_a_file(path: &Path) -> io::Error {
+    let what = if path.is_dir() { "a folder" } else { "a device, pipe or socket" };
+    io::Error::new(ErrorKind::InvalidInput, format!("{} is {what}, not a file", path.display()))
+}
+
+fn folder_of(target: &Path) -> &Path {
+    target.parent().filter(|folder| !folder.as_os_str().is_empty()).unwrap_or(Path::new("."))
+}
+
+/// `.NAME.`, with which the hidden files of an output begin.
+fn part_prefix(name: &OsStr) -> OsString {
+    let mut prefix = OsString::from(".");
+    prefix.push(name);
+    prefix.push(".");
+    prefix
+}
+
+fn create_part(folder: &Path, name: &OsStr) -> io::Result<(PathBuf, fs_err::File)> {
+    static NEXT: AtomicU64 = AtomicU64::new(0);
+    loop {
+        let mut part_name = part_prefix(name);
+        part_name.push(format!(
+            "{}-{}{PART_SUFFIX}",
+            std::process::id(),
+            NEXT.fetch_add(1, Ordering::Relaxed)
+        ));
+        let part = folder.join(part_name);
+        let file = match fs_err::OpenOptions::new().write(true).create_new(true).open(&part) {
+            // A killed process with our number left it, and it could not be removed.
+            Err(error) if error.kind() == ErrorKind::AlreadyExists => continue,
+            other => other?,
+        };
+        match file.file().lock() {
+            Ok(()) => {}
+            // Such file systems cannot tell a live file from a stale one either, so nobody will remove it.
+            Err(error) if error.kind() == ErrorKind::Unsupported => {}
+            Err(error) => {
+                _ = fs_err::remove_file(&part);
+                return Err(error);
+            }
+        }
+        // Another process may have taken the file for stale between its creation and our lock.
+        if fs_err::symlink_metadata(&part).is_ok() {
+            return Ok((part, file));
+        }
+    }
+}
+
+/// Removes the hidden files of an output that nobody holds. This is housekeeping: what fails is left for next time.
+fn remove_stale_parts(folder: &Path, name: &OsStr) {
+    let prefix = part_prefix(name);
+    let Ok(entries) = fs_err::read_dir(folder) else { return };
+    for entry in entries.flatten() {
+        if is_part_of(&prefix, &entry.file_name()) {
+            // Opened for writing, since some systems lock only writable files.
+            let Ok(file) = fs_err::OpenOptions::new().write(true).open(entry.path()) else { continue };
+            match file.file().try_lock() {
+                Ok(()) => _ = fs_err::remove_file(entry.path()),
+                Err(TryLockError::WouldBlock | TryLockError::Error(_)) => {}
+            }
+        }
+    }
+}
+
+/// Whether `file_name` is `prefix`, digits, a dash, digits, and the suffix.
+fn is_part_of(prefix: &OsStr, file_name: &OsStr) -> bool {
+    let numbers = file_name
+        .as_encoded_bytes()
+        .strip_prefix(prefix.as_encoded_bytes())
+        .and_then(|rest| rest.strip_suffix(PART_SUFFIX.as_bytes()));
+    let is_number = |digits: &[u8]| !digits.is_empty() && digits.iter().all(u8::is_ascii_digit);
+    numbers.is_some_and(|numbers| {
+        let mut parts = numbers.split(|&byte| byte == b'-');
+        matches!((parts.next(), parts.next(), parts.next()), (Some(a), Some(b), None) if is_number(a) && is_number(b))
+    })
+}
+
+/// A rename is on disk only once the folder is.
+#[cfg(unix)]
+fn sync_folder(folder: &Path) -> io::Result<()> {
+    match fs_err::File::open(folder)?.sync_all() {
+        // Some network and FUSE file systems have no such operation.
+        Err(error) if matches!(error.kind(), ErrorKind::InvalidInput | ErrorKind::Unsupported) => Ok(()),
+        other => other,
+    }
+}
+
+#[cfg(not(unix))]
+fn sync_folder(_: &Path) -> io::Result<()> {
+    Ok(())
+}
