@@ -1,2 +1,8 @@
 //! The bake: a glTF scene in, archive sections out.
+pub mod appearance;
+pub mod cube;
+pub mod octree;
+pub mod points;
+pub mod reduce;
 pub mod scene;
+pub mod triangles;
