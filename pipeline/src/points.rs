@@ -20,6 +20,9 @@ use manyview_shaders::masks::TriangleMask;
 use manyview_shaders::raster::{BARYCENTRIC_ONE, Grid, Raster, VoxelBox};
 use rayon::prelude::*;
 
+/// Triangles that one task samples before it drops what falls into the same cell.
+const CHUNK: usize = 4096;
+
 /// Points on the triangles, about one per cell of a grid of `2^bits` cells a side over the row lattice.
 ///
 /// Each triangle is sampled at the cell centres of the axis plane it faces most; one that no centre hits is sampled
@@ -27,7 +30,6 @@ use rayon::prelude::*;
 /// (by coordinates) is kept, so that the result does not depend on the order of triangles.
 pub fn surface_points(triangles: &LatticeTriangles, cutouts: &Cutouts, bits: u32) -> Vec<[i16; 3]> {
     let grid = Grid::new(bits);
-    const CHUNK: usize = 4096;
     let mut keyed: Vec<(u32, [i16; 3])> = (0..triangles.triangles.len().div_ceil(CHUNK))
         .into_par_iter()
         .flat_map_iter(|chunk| {
@@ -70,9 +72,9 @@ fn sample_triangle(
             (v[0][i] + ((rise + i64::from(BARYCENTRIC_ONE) / 2) >> 15)) as i16
         })
     };
-    let mut hit = false;
+    let hit = std::cell::Cell::new(false);
     let mut sample = |b: [u32; 2]| {
-        hit = true;
+        hit.set(true);
         if mask.is_none_or(|m| m.passes(&cutouts.planes, b)) {
             emit(point(b));
         }
@@ -92,7 +94,7 @@ fn sample_triangle(
     if let Some(raster) = Raster::new(grid, &shifted, axis) {
         raster.fragments(&VoxelBox::whole(grid), |f| sample(f.barycentric));
     }
-    if hit {
+    if hit.get() {
         return;
     }
     // Longest median: from the middle of the shortest edge to the opposite vertex.
@@ -129,13 +131,15 @@ pub fn voxel_centers(
             .map(|i| grid.snap(half + f64::from(p[i]) / f64::from(ROW_LATTICE) * half_extent_share[i] * half))
     };
     let clip = VoxelBox::whole(grid);
-    let mut occupied: Vec<u32> = (0..triangles.triangles.len())
+    let mut occupied: Vec<u32> = (0..triangles.triangles.len().div_ceil(CHUNK))
         .into_par_iter()
-        .fold(Vec::new, |mut codes, index| {
-            let triangle = triangles.triangles[index].map(voxel_of);
-            let mask = triangles.mask(cutouts, index);
-            for axis in 0..3 {
-                if let Some(raster) = Raster::new(grid, &triangle, axis) {
+        .flat_map_iter(|chunk| {
+            let mut codes = Vec::new();
+            let end = ((chunk + 1) * CHUNK).min(triangles.triangles.len());
+            for index in chunk * CHUNK..end {
+                let triangle = triangles.triangles[index].map(voxel_of);
+                let mask = triangles.mask(cutouts, index);
+                for raster in (0..3).filter_map(|axis| Raster::new(grid, &triangle, axis)) {
                     raster.fragments(&clip, |f| {
                         if mask.is_none_or(|m| m.passes(&cutouts.planes, f.barycentric)) {
                             codes.push(morton(f.voxel.map(|c| c as u32)));
@@ -147,10 +151,7 @@ pub fn voxel_centers(
             codes.dedup();
             codes
         })
-        .reduce(Vec::new, |mut a, b| {
-            a.extend(b);
-            a
-        });
+        .collect();
     occupied.par_sort_unstable();
     occupied.dedup();
     occupied
