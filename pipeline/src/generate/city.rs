@@ -27,7 +27,7 @@ pub(super) fn city(scene: &mut Scene, triangles: u64, seed: u64) {
     ground(scene, &palette, side, half_extent);
     lamps(scene, &palette, side, half_extent, (triangles / 12).min(MAX_LAMPS * 108));
 
-    let spots: Vec<_> = (0..side * side / 8)
+    let spots: Vec<_> = (0..(side * side / 8).max(1))
         .map(|_| Spot {
             foot: vec3(centre(rng.below(side)) + 13.5, 0.0, centre(rng.below(side)) + rng.range(-12.0, 12.0)),
             scale: rng.range(0.6, 1.0),

@@ -13,7 +13,6 @@ fn each_kind_and_size(mut check: impl FnMut(SceneKind, u64, &Scene)) {
 fn counts_are_within_three_per_cent() {
     each_kind_and_size(|kind, triangles, scene| {
         let drawn = scene.drawn_triangles();
-        println!("{kind} {triangles}: {drawn} drawn");
         assert!(drawn.abs_diff(triangles) * 100 <= 3 * triangles, "{kind} of {triangles} draws {drawn}");
     });
 }

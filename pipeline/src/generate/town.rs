@@ -35,6 +35,10 @@ struct Town<'a> {
     terrain: Terrain,
     /// Blocks along each side.
     blocks: u32,
+    /// Houses are made of few triangles: a small town is to have several.
+    plain: bool,
+    /// Strips of ground across the outskirts, and across a block.
+    strips: [u32; 2],
     rng: Rng,
 }
 
@@ -44,7 +48,13 @@ pub(super) fn town(scene: &mut Scene, triangles: u64, seed: u64) {
     // About 7,000 triangles a block, of which half are trees.
     let blocks = ((triangles / 7_000) as f32).sqrt().round().max(1.0) as u32;
     let terrain = Terrain::new(seed, 70.0, 7.0, 30.0);
-    let mut town = Town { scene, palette, terrain, blocks, rng: Rng::new(seed, 1) };
+    let plain = triangles < 20_000;
+    let strips = match triangles {
+        0..3_000 => [1, 2],
+        3_000..20_000 => [2, 3],
+        _ => [5, 8],
+    };
+    let mut town = Town { scene, palette, terrain, blocks, plain, strips, rng: Rng::new(seed, 1) };
     town.ground();
     town.square();
     let mut spots = town.houses(triangles / 100 * 45);
@@ -96,17 +106,17 @@ impl Town<'_> {
                 strips.push(strip);
             }
         };
-        extend(self.street(0) - 0.5 * STREET, 5, Strip::Lawn);
+        extend(self.street(0) - 0.5 * STREET, self.strips[0], Strip::Lawn);
         for index in 0..=self.blocks {
             let centre = self.street(index);
             extend(centre - 3.0, 1, Strip::Pavement);
             extend(centre + 3.0, 1, Strip::Road);
             extend(centre + 5.0, 1, Strip::Pavement);
             if index < self.blocks {
-                extend(centre + 5.0 + BLOCK, 8, Strip::Lawn);
+                extend(centre + 5.0 + BLOCK, self.strips[1], Strip::Lawn);
             }
         }
-        extend(self.street(self.blocks) + 0.5 * STREET + OUTSKIRTS, 5, Strip::Lawn);
+        extend(self.street(self.blocks) + 0.5 * STREET + OUTSKIRTS, self.strips[0], Strip::Lawn);
         (lines, strips)
     }
 
@@ -182,7 +192,7 @@ impl Town<'_> {
             let quarter_turns = self.rng.below(2);
             let block = Frame::quarter_turned(Vec3::ZERO, quarter_turns);
             for lot in 0..2 * ROW {
-                let mean = 560;
+                let mean = if self.plain { 150 } else { 700 };
                 if spent + model.triangles() + mean > budget && spent + model.triangles() > 0 {
                     break;
                 }
@@ -194,7 +204,7 @@ impl Town<'_> {
                 let ground = |p: Vec3| self.terrain.height(p.x + x, p.z + z);
                 let front = ground(place.moved(vec3(0.0, 0.0, 5.0)).origin);
                 let foot = Frame { origin: place.origin + Vec3::Y * front, ..place };
-                house(&mut model, &self.palette, &foot, [lot_width - 0.6, 9.6], &mut self.rng);
+                house(&mut model, &self.palette, &foot, [lot_width - 0.6, 9.6], self.plain, &mut self.rng);
                 self.hedge(&mut model, &foot, lot_width);
                 for _ in 0..self.rng.below(3) {
                     let garden =

@@ -252,8 +252,8 @@ fn generated_scenes_have_sound_accessors() {
             for axis in 0..3 {
                 let values = || positions.iter().skip(axis).step_by(3).copied();
                 let (low, high) = (values().fold(f32::MAX, f32::min), values().fold(f32::MIN, f32::max));
-                assert_eq!(accessor["min"][axis].as_f64(), Some(f64::from(low)));
-                assert_eq!(accessor["max"][axis].as_f64(), Some(f64::from(high)));
+                assert_eq!(accessor["min"][axis].as_f64().unwrap() as f32, low);
+                assert_eq!(accessor["max"][axis].as_f64().unwrap() as f32, high);
             }
             let indices = number(&primitive["indices"]);
             accessor_bytes(&json, &binary, indices);
