@@ -227,7 +227,12 @@ pub(super) fn church(model: &mut Model, palette: &Palette, frame: &Frame) {
         let (low, high) = (vec3(-3.2, height, -3.2), vec3(3.2, height + 0.4, 3.2));
         model.block(palette.stone, &tower, low, high, Hidden::Nothing);
     }
-    model.lathe(roof, &tower.moved(vec3(0.0, 19.0, 0.0)), &[(4.4, 0.0), (2.0, 4.2), (0.0, 16.0)], 8);
+    model.lathe(
+        roof,
+        &tower.moved(vec3(0.0, 19.0, 0.0)),
+        &[(0.0, 0.0), (4.4, 0.0), (2.0, 4.2), (0.0, 16.0)],
+        8,
+    );
     let top = tower.moved(vec3(0.0, 34.6, 0.0));
     model.block(palette.metal, &top, vec3(-0.09, 0.0, -0.09), vec3(0.09, 2.6, 0.09), Hidden::Nothing);
     model.block(palette.metal, &top, vec3(-0.7, 1.5, -0.08), vec3(0.7, 1.68, 0.08), Hidden::Nothing);

@@ -36,7 +36,7 @@ pub(super) const PAINTS: [[u8; 3]; 8] = [
 
 /// Colours of foliage, linear in 1/255.
 pub(super) const FOLIAGE: [[u8; 3]; 5] =
-    [[48, 98, 24], [66, 116, 30], [34, 80, 28], [104, 120, 26], [150, 92, 20]];
+    [[34, 72, 16], [48, 88, 20], [24, 60, 20], [80, 92, 18], [118, 66, 14]];
 
 /// A brush for each material; making them adds the materials and textures to the scene.
 #[derive(Debug, Clone, Copy)]
@@ -111,7 +111,7 @@ impl Palette {
             roof,
             paint: plain("paint", Vec3::ONE, ANY_TINT, dark, false),
             trim: plain("trim", vec3(0.78, 0.76, 0.7), None, dark, false),
-            stone: plain("stone", vec3(0.42, 0.4, 0.36), None, dark, false),
+            stone: plain("stone", vec3(0.34, 0.325, 0.295), None, dark, false),
             cobbles,
             grass,
             wood: plain("wood", vec3(0.19, 0.1, 0.05), None, dark, false),

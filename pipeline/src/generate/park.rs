@@ -34,7 +34,7 @@ pub(super) fn park(scene: &mut Scene, triangles: u64, seed: u64) {
         place(scene, meshes, Frame::at(terrain.point(at, at)).world_from_object(0.6));
     }
     furniture(scene, &palette, &terrain, side, triangles / 10);
-    people(scene, &palette, &terrain, half_extent, triangles * 4 / 10, &mut rng);
+    people(scene, &palette, &terrain, half_extent, triangles * 45 / 100, &mut rng);
 
     let spots: Vec<_> = (0..(side * side * 5).max(2))
         .map(|_| {
@@ -113,7 +113,7 @@ fn people(
     budget: u64,
     rng: &mut Rng,
 ) {
-    let detail = if budget < 20_000 { 0 } else { 1 };
+    let detail = u32::from(budget >= 20_000);
     let mut left = budget;
     for index in 0.. {
         let model = figure(palette, detail, rng);
@@ -134,7 +134,7 @@ fn people(
 
 /// Somebody 1.75 m tall who walks along +z.
 fn figure(palette: &Palette, detail: u32, rng: &mut Rng) -> Model {
-    let (around, rings, sides) = if detail == 0 { (5, 3, 4) } else { (12, 8, 8) };
+    let (around, rings, sides) = if detail == 0 { (5, 3, 4) } else { (8, 6, 6) };
     let skin =
         palette.skin.tinted(rng.pick(&[[205, 140, 104], [130, 78, 50], [70, 40, 26], [222, 168, 132]]));
     let hair = palette.paint.tinted(rng.pick(&[[24, 16, 10], [92, 58, 26], [150, 118, 60], [110, 110, 110]]));
@@ -156,7 +156,7 @@ fn figure(palette: &Palette, detail: u32, rng: &mut Rng) -> Model {
         ];
         model.tube(trousers, &leg, &[0.09, 0.065, 0.05], sides);
         let shoe = at(vec3(0.1 * side, 0.045, swing + 0.06));
-        model.ellipsoid(hair, &shoe, vec3(0.05, 0.045, 0.13), around, rings);
+        model.ellipsoid(palette.metal, &shoe, vec3(0.05, 0.045, 0.13), around, rings);
         let lift = rng.range(0.0, 0.25);
         let arm = [
             vec3(0.2 * side, 1.42, 0.0),

@@ -33,7 +33,7 @@ pub(super) fn light_lamp(scene: &mut Scene, frame: &Frame) {
     });
 }
 
-/// A bench that looks along +z: 84 triangles.
+/// A bench that looks along +z: 86 triangles.
 pub(super) fn bench(palette: &Palette) -> Model {
     let mut model = Model::default();
     let frame = Frame::at(Vec3::ZERO);
@@ -45,7 +45,7 @@ pub(super) fn bench(palette: &Palette) -> Model {
         let (low, high) = (vec3(-0.9, 0.42, z), vec3(0.9, 0.46, z + 0.13));
         model.block(palette.wood, &frame, low, high, Hidden::Bottom);
     }
-    model.block(palette.wood, &frame, vec3(-0.9, 0.62, -0.2), vec3(0.9, 0.84, -0.16), Hidden::Back);
+    model.block(palette.wood, &frame, vec3(-0.9, 0.62, -0.2), vec3(0.9, 0.84, -0.16), Hidden::Nothing);
     model
 }
 
@@ -84,7 +84,7 @@ mod tests {
         let mut scene = Scene::default();
         let palette = Palette::new(&mut scene);
         assert_eq!(lamp(&palette).triangles(), 24 + 36 + 24 + 24);
-        assert_eq!(bench(&palette).triangles(), 2 * (10 + 12) + 3 * 10 + 10);
+        assert_eq!(bench(&palette).triangles(), 2 * (10 + 12) + 3 * 10 + 12);
     }
 
     #[test]

@@ -45,9 +45,9 @@ struct Town<'a> {
 /// Builds a town of `triangles`.
 pub(super) fn town(scene: &mut Scene, triangles: u64, seed: u64) {
     let palette = Palette::new(scene);
-    // About 7,000 triangles a block, of which half are trees.
-    let blocks = ((triangles / 7_000) as f32).sqrt().round().max(1.0) as u32;
-    let terrain = Terrain::new(seed, 70.0, 7.0, 30.0);
+    // About 10,000 triangles a block, of which nearly half are trees.
+    let blocks = ((triangles / 10_000) as f32).sqrt().round().max(1.0) as u32;
+    let terrain = Terrain::new(seed, 70.0, 9.0, 30.0);
     let plain = triangles < 20_000;
     let strips = match triangles {
         0..3_000 => [1, 2],
@@ -222,9 +222,9 @@ impl Town<'_> {
     /// A low hedge on one side of the house, or none.
     fn hedge(&mut self, model: &mut Model, foot: &Frame, lot_width: f32) {
         if self.rng.chance(0.5) {
-            let tint = self.rng.pick(&FOLIAGE[..3]);
+            let tint = self.rng.pick(&FOLIAGE[..3]).map(|channel| channel / 2);
             let x = 0.5 * lot_width - 0.5;
-            let (low, high) = (vec3(x, -1.5, -14.0), vec3(x + 0.5, self.rng.range(0.9, 1.6), -5.0));
+            let (low, high) = (vec3(x, -1.5, -14.0), vec3(x + 0.5, self.rng.range(0.7, 1.2), -5.0));
             model.block(self.palette.leaves.tinted(tint), foot, low, high, Hidden::Bottom);
         }
     }

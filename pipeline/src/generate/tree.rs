@@ -65,7 +65,7 @@ fn tree(palette: &Palette, triangles: u32, leaves: Leaves, rng: &mut Rng) -> Mod
     let crown_width = rng.range(1.7, 2.5);
     let crown = Frame::at(vec3(rng.range(-0.2, 0.2), height * 0.66, rng.range(-0.2, 0.2)));
     let crown_radii = vec3(crown_width, height * 0.36, crown_width * rng.range(0.85, 1.15));
-    // Wood takes at most a third.
+    // Wood takes at most a quarter, or the trunk alone.
     let (sides, steps) = if triangles < 60 {
         (3, 1)
     } else if triangles < 400 {
@@ -83,7 +83,7 @@ fn tree(palette: &Palette, triangles: u32, leaves: Leaves, rng: &mut Rng) -> Mod
     }
     let branch_sides = if triangles < 2_000 { 3 } else { 5 };
     let branch_triangles = 2 * branch_sides * 3;
-    let branches = (triangles / 3).saturating_sub(trunk_triangles) / branch_triangles;
+    let branches = (triangles / 4).saturating_sub(trunk_triangles) / branch_triangles;
     let branches = branches.min(8 + triangles / 600).min(160);
     let mut tips = Vec::with_capacity(branches as usize);
     for branch in 0..branches {
@@ -102,7 +102,7 @@ fn tree(palette: &Palette, triangles: u32, leaves: Leaves, rng: &mut Rng) -> Mod
         // Half of the leaves sit around the tips, half anywhere in the outer crown.
         let unit = on_crown(rng);
         let position = if !tips.is_empty() && rng.chance(0.5) {
-            rng.pick(&tips) + unit * 0.45
+            rng.pick(&tips) + unit * 0.5
         } else {
             crown.point(unit * (1.0 - 0.45 * rng.unit() * rng.unit()) * crown_radii)
         };
@@ -113,11 +113,11 @@ fn tree(palette: &Palette, triangles: u32, leaves: Leaves, rng: &mut Rng) -> Mod
         match leaves {
             Leaves::Cards => {
                 // The crown stays as full whatever the count.
-                let size = (46.0 / leaf_count as f32).sqrt().clamp(0.12, 2.2) * rng.range(0.85, 1.2);
+                let size = (150.0 / leaf_count as f32).sqrt().clamp(0.2, 2.4) * rng.range(0.85, 1.2);
                 card(&mut model, palette.leaf_cards.tinted(tint), position, normal, size, rng);
             }
             Leaves::Geometry => {
-                let size = (60.0 / leaf_count as f32).sqrt().clamp(0.06, 2.0) * rng.range(0.8, 1.2);
+                let size = (110.0 / leaf_count as f32).sqrt().clamp(0.06, 2.0) * rng.range(0.8, 1.2);
                 rhomb(&mut model, palette.leaves.tinted(tint), position, normal, size, rng);
             }
         }
