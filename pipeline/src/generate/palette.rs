@@ -130,8 +130,17 @@ impl Palette {
     }
 }
 
-/// Removes materials and textures that no mesh uses, so that a scene holds only what it shows.
+/// Removes meshes without instances, and materials and textures that no mesh uses: a scene holds only what it shows.
 pub(super) fn drop_unused(scene: &mut Scene) {
+    let mut used_meshes = vec![false; scene.meshes.len()];
+    for instance in &scene.instances {
+        used_meshes[instance.mesh as usize] = true;
+    }
+    let mesh_index = new_indices(&used_meshes);
+    for instance in &mut scene.instances {
+        instance.mesh = mesh_index[instance.mesh as usize];
+    }
+    keep(&mut scene.meshes, &used_meshes);
     let mut used_materials = vec![false; scene.materials.len()];
     for mesh in &scene.meshes {
         used_materials[mesh.material as usize] = true;

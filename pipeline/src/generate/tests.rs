@@ -18,6 +18,19 @@ fn counts_are_within_three_per_cent() {
 }
 
 #[test]
+fn counts_hold_for_any_seed_and_odd_numbers() {
+    for kind in SceneKind::all() {
+        for triangles in [1_000, 1_777, 2_999, 4_001, 7_919, 14_000, 19_999, 20_001, 54_321] {
+            for seed in 0..4 {
+                let drawn = generate(kind, triangles, seed).drawn_triangles();
+                let what = format!("{kind} of {triangles}, seed {seed}, draws {drawn}");
+                assert!(drawn.abs_diff(triangles) * 100 <= 3 * triangles, "{what}");
+            }
+        }
+    }
+}
+
+#[test]
 fn every_number_is_finite_and_every_index_valid() {
     each_kind_and_size(|kind, triangles, scene| {
         for mesh in &scene.meshes {
