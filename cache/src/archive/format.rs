@@ -69,6 +69,8 @@ impl FromStr for SectionName {
             .get_mut(..name.len())
             .map(|start| start.copy_from_slice(name.as_bytes()))
             .and_then(|()| Self::from_stored(stored))
+            // A zero at the end would pass for padding.
+            .filter(|stored| stored.as_str() == name)
             .ok_or_else(|| {
                 let reason = format!(
                     "{name:?} is no name for a section: it takes 1 to 16 characters of a-z, 0-9, '.', '_' and '-'"
@@ -221,14 +223,14 @@ impl Header {
                 header.index_bytes,
             ));
         }
-        if header.index_offset < HEADER_BYTES as u64 || header.index_offset % ALIGNMENT != 0 {
+        if header.index_offset < HEADER_BYTES as u64 || !header.index_offset.is_multiple_of(ALIGNMENT) {
             let expected = format!("a multiple of {ALIGNMENT}, at least {HEADER_BYTES}");
             return Err(corrupt("offset of the index", expected, header.index_offset));
         }
         // The index is the last thing in the file. Subtracting cannot overflow as adding to a hostile offset could.
         expect_equal(
             "offset of the index",
-            file_bytes.checked_sub(header.index_bytes.into()).unwrap_or_default(),
+            file_bytes.saturating_sub(header.index_bytes.into()),
             header.index_offset,
         )?;
         Ok(header)
