@@ -192,15 +192,8 @@ fn create_part(folder: &Path, name: &OsStr) -> io::Result<(PathBuf, fs_err::File
             Err(error) if error.kind() == ErrorKind::AlreadyExists => continue,
             other => other?,
         };
-        match file.file().lock() {
-            Ok(()) => {}
-            // Such file systems cannot tell a live file from a stale one either, so nobody will remove it.
-            Err(error) if error.kind() == ErrorKind::Unsupported => {}
-            Err(error) => {
-                _ = fs_err::remove_file(&part);
-                return Err(error);
-            }
-        }
+        // Where there are no locks nobody can tell a live file from a stale one, so nobody will remove it either.
+        while file.file().lock().is_err_and(|error| error.kind() == ErrorKind::Interrupted) {}
         // Another process may have taken the file for stale between its creation and our lock.
         if fs_err::symlink_metadata(&part).is_ok() {
             return Ok((part, file));

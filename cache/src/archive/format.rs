@@ -116,7 +116,8 @@ pub struct Section {
     pub chunks: Range<u32>,
     /// The size of its content.
     pub raw_bytes: u64,
-    /// The identity of its content, whatever the compression: see [`section_digest`].
+    /// The identity of its content, whatever the compression: BLAKE3 over, for each chunk, its raw size (u32,
+    /// little-endian) and the BLAKE3 of its raw bytes. So it is computed and checked with chunks in parallel.
     pub digest: Digest,
 }
 
@@ -149,8 +150,7 @@ impl ChunkRecord {
     }
 }
 
-/// The digest of a section: BLAKE3 over, for each chunk, the size of its content (u32, little-endian) and the BLAKE3
-/// of its content. So it can be computed and checked with chunks in parallel, and does not depend on the compression.
+/// [`Section::digest`], of the raw size and the digest of the raw bytes of each chunk.
 pub(super) fn section_digest(chunks: impl IntoIterator<Item = (u32, Digest)>) -> Digest {
     let mut digest = DigestBuilder::new();
     for (raw_bytes, raw_digest) in chunks {
