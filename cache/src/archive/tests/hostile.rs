@@ -2,8 +2,8 @@
 
 use super::*;
 use crate::archive::{
-    ArchiveErrorKind, ChunkRecord, Codec, CompressedChunk, MAX_CHUNK_BYTES, MAX_INDEX_BYTES, SectionName,
-    decode_chunk,
+    ArchiveErrorKind, ChunkRecord, Codec, CompressedChunk, MAX_CHUNK_BYTES, MAX_INDEX_BYTES, SectionId,
+    SectionName, decode_chunk,
 };
 
 /// What is in the message for a change of the index.
@@ -277,6 +277,38 @@ fn a_section_larger_than_the_limit_is_refused_before_memory_is_taken() {
         "{error}"
     );
     archive.read_section(&section(&archive, "rows", 0)).unwrap();
+}
+
+#[test]
+fn sections_of_another_archive_are_not_read() {
+    let archive = open(&write(&[("rows", 0, b"short")])).unwrap();
+    let foreign = section(&open(&small()).unwrap(), "rows", 0);
+    let error = archive.read_section(&foreign).unwrap_err();
+    assert!(matches!(error.kind(), ArchiveErrorKind::MissingSection), "{error}");
+}
+
+/// Two thousand chunks say that they are 4 MiB; memory is taken for the first few dozen, and not before they decode.
+#[test]
+fn chunks_that_lie_about_their_size_cost_little() {
+    let frame = zstd::bulk::compress(&[0; 1000], 3).unwrap();
+    let mut payload = Vec::new();
+    let mut index = Index { sections: Vec::new(), chunks: Vec::new() };
+    for number in 0..2000 {
+        let mut chunk = chunk_of(&frame, MAX_CHUNK_BYTES as u32);
+        chunk.offset = HEADER_BYTES as u64 + number * frame.len().next_multiple_of(16) as u64;
+        payload.extend(&frame);
+        payload.resize(payload.len().next_multiple_of(16), 0);
+        index.chunks.push(chunk);
+    }
+    let id = SectionId { name: "lies".parse().unwrap(), item: 0 };
+    let raw_bytes = 2000 * MAX_CHUNK_BYTES as u64;
+    index.sections.push(Section { id, chunks: 0..2000, raw_bytes, digest: Digest::of(b"") });
+    let archive = open(&assemble(&payload, &index)).unwrap();
+    let mut content = Vec::new();
+    let error = archive.read_section_into(&section(&archive, "lies", 0), &mut content).unwrap_err();
+    assert_eq!(error.chunk(), Some(0), "{error}");
+    assert!(content.capacity() <= 64 * MAX_CHUNK_BYTES, "{} bytes were taken", content.capacity());
+    assert_eq!(archive.verify().failures.len(), 2000);
 }
 
 fn chunk_of(stored: &[u8], raw_bytes: u32) -> ChunkRecord {

@@ -228,6 +228,19 @@ fn a_file_is_read_like_memory() {
 }
 
 #[test]
+fn memory_of_the_caller_is_used_again() {
+    let archive = open(&small()).unwrap();
+    let mut content = vec![0xee; 5000];
+    let address = content.as_ptr();
+    for (name, item, expected) in
+        [("meta", 0, &b"manyview"[..]), ("svo.mask", 3, &[0x5a; 1000]), ("svo.mask", 4, b"")]
+    {
+        archive.read_section_into(&section(&archive, name, item), &mut content).unwrap();
+        assert_eq!((&content[..], content.as_ptr()), (expected, address));
+    }
+}
+
+#[test]
 fn an_unfinished_archive_leaves_the_old_one() {
     let folder = tempfile::tempdir().unwrap();
     let path = folder.path().join("a.mvb");
