@@ -93,6 +93,19 @@ fn a_changed_payload_is_found_in_its_chunk_and_only_there() {
 }
 
 #[test]
+fn verify_names_everything_that_is_wrong_in_the_order_of_the_file() {
+    let (mut payload, mut index) = disassemble(&small());
+    payload[index.chunks[0].offset as usize - HEADER_BYTES] ^= 1;
+    payload[index.chunks[2].offset as usize - HEADER_BYTES] ^= 1;
+    index.sections[1].digest = Digest::of(b"something else");
+    let report = open(&assemble(&payload, &index)).unwrap().verify();
+    let places: Vec<_> =
+        report.failures.iter().map(|error| (error.section().unwrap().to_string(), error.chunk())).collect();
+    let expected = [("meta[0]", Some(0)), ("svo.mask[3]", None), ("rows[0]", Some(2))];
+    assert_eq!(places, expected.map(|(section, chunk)| (section.to_owned(), chunk)));
+}
+
+#[test]
 fn padding_is_zeros() {
     let mut bytes = small();
     let chunk = open(&bytes).unwrap().chunks()[0].clone();
