@@ -78,6 +78,20 @@ impl LatticeTriangles {
         self.mask_of.get(index).and_then(|&m| cutouts.masks.get(m as usize))
     }
 
+    /// The triangles that `members` name, in that order.
+    pub fn part(&self, members: &[u32]) -> Self {
+        let of = |index: &u32| *index as usize;
+        Self {
+            triangles: members.iter().map(|m| self.triangles[of(m)]).collect(),
+            sources: members.iter().map(|m| self.sources[of(m)]).collect(),
+            mask_of: if self.mask_of.is_empty() {
+                Vec::new()
+            } else {
+                members.iter().map(|m| self.mask_of[of(m)]).collect()
+            },
+        }
+    }
+
     /// All triangles as a job for a [`VoxelDevice`](manyview_shaders::device::VoxelDevice).
     pub fn batch<'a>(&'a self, cutouts: &'a Cutouts) -> TriangleBatch<'a> {
         TriangleBatch {
