@@ -1,2 +1,3 @@
 //! The bake: a glTF scene in, archive sections out.
+pub mod import;
 pub mod scene;
