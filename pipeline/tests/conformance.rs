@@ -35,7 +35,8 @@ fn odd_files_draw_as_many_triangles_as_other_tools_say() {
         match import(&folder.join(file), &ImportOptions::default()) {
             Ok(imported) if imported.scene.drawn_triangles() == triangles => {}
             Ok(imported) => {
-                failures.push(format!("{file}: {} triangles, not {triangles}", imported.scene.drawn_triangles()));
+                failures
+                    .push(format!("{file}: {} triangles, not {triangles}", imported.scene.drawn_triangles()));
             }
             Err(error @ ImportError::Unsupported { .. }) => {
                 refused += 1;
@@ -85,7 +86,8 @@ fn real_scenes_draw_as_many_triangles_as_their_table_says() {
     let mut count = 0;
     for line in table.lines().filter(|line| line.contains(".glb |")) {
         let cells: Vec<&str> = line.split('|').map(str::trim).collect();
-        let digits: String = cells[4].chars().take_while(|c| *c != '(').filter(char::is_ascii_digit).collect();
+        let digits: String =
+            cells[4].chars().take_while(|c| *c != '(').filter(char::is_ascii_digit).collect();
         let start = Instant::now();
         let scene = import(&folder.join(cells[1]), &ImportOptions::default()).unwrap().scene;
         eprintln!(

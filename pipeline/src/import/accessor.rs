@@ -118,7 +118,9 @@ impl<'a> Accessor<'a> {
         };
         let count = object.required_index("count")?;
         if u32::try_from(count).is_err() {
-            return Err(object.malformed_at("count", format!("{count} elements are more than any index can name")));
+            return Err(
+                object.malformed_at("count", format!("{count} elements are more than any index can name"))
+            );
         }
         let accessor = Self {
             count,
@@ -153,6 +155,13 @@ impl<'a> Accessor<'a> {
         self.object.place()
     }
 
+    /// Proves that all elements are there, before anything is made of their number.
+    pub(super) fn check_extent(&self, resources: &Resources<'_>) -> Result<(), ImportError> {
+        let Some(view) = self.view else { return Ok(()) };
+        let element_bytes = self.component.bytes() * self.width;
+        self.elements(resources, &self.object, (view, self.offset), self.count, element_bytes).map(|_| ())
+    }
+
     /// Finds `count` elements of `element_bytes` in a buffer view, and proves that they are all there.
     fn elements<'r>(
         &self,
@@ -166,7 +175,8 @@ impl<'a> Accessor<'a> {
         let view = resources.view(view)?;
         let stride = view.stride.unwrap_or(element_bytes);
         let available = view.bytes.len();
-        let end = count.checked_sub(1).map_or(Some(0), |last| last.checked_mul(stride)?.checked_add(element_bytes));
+        let end =
+            count.checked_sub(1).map_or(Some(0), |last| last.checked_mul(stride)?.checked_add(element_bytes));
         let end = end.and_then(|end| end.checked_add(offset));
         if end.is_none_or(|end| end > available) {
             return Err(object.malformed(format!(
@@ -183,14 +193,20 @@ impl<'a> Accessor<'a> {
         selection: Selection<'_>,
         place: &str,
     ) -> Result<Vec<f32>, ImportError> {
+        self.check_extent(resources)?;
         let selected = selection.map_or(self.count, <[u32]>::len);
         resources.charge((selected * self.width * 4) as u64, place)?;
         let size = self.component.bytes();
         let mut values = match self.view {
             None => vec![0.0; selected * self.width],
             Some(view) => {
-                let elements =
-                    self.elements(resources, &self.object, (view, self.offset), self.count, size * self.width)?;
+                let elements = self.elements(
+                    resources,
+                    &self.object,
+                    (view, self.offset),
+                    self.count,
+                    size * self.width,
+                )?;
                 let mut values = Vec::with_capacity(selected * self.width);
                 let mut push = |index: usize| {
                     let element = elements.get(index);
@@ -224,29 +240,43 @@ impl<'a> Accessor<'a> {
     }
 
     /// All elements as vertex indices.
-    pub(super) fn read_indices(&self, resources: &Resources<'_>, place: &str) -> Result<Vec<u32>, ImportError> {
+    pub(super) fn read_indices(
+        &self,
+        resources: &Resources<'_>,
+        place: &str,
+    ) -> Result<Vec<u32>, ImportError> {
         if self.width != 1 || !matches!(self.component, Component::U8 | Component::U16 | Component::U32) {
             return Err(self.malformed("vertex indices must be unsigned scalars"));
         }
+        self.check_extent(resources)?;
         resources.charge((self.count * 4) as u64, place)?;
         let size = self.component.bytes();
         let mut indices = match self.view {
             None => vec![0; self.count],
             Some(view) => {
-                let elements = self.elements(resources, &self.object, (view, self.offset), self.count, size)?;
+                let elements =
+                    self.elements(resources, &self.object, (view, self.offset), self.count, size)?;
                 (0..self.count).map(|index| self.component.read_index(elements.get(index))).collect()
             }
         };
-        self.substitute(resources, |index, element| indices[index as usize] = self.component.read_index(element))?;
+        self.substitute(resources, |index, element| {
+            indices[index as usize] = self.component.read_index(element);
+        })?;
         Ok(indices)
     }
 
     /// Calls `set(index, bytes)` for every element that the sparse part replaces.
-    fn substitute(&self, resources: &Resources<'_>, mut set: impl FnMut(u32, &[u8])) -> Result<(), ImportError> {
+    fn substitute(
+        &self,
+        resources: &Resources<'_>,
+        mut set: impl FnMut(u32, &[u8]),
+    ) -> Result<(), ImportError> {
         let Some(sparse) = self.object.object("sparse")? else { return Ok(()) };
         let count = sparse.required_index("count")?;
         if count > self.count {
-            return Err(sparse.malformed(format!("{count} elements replace more than there are, {}", self.count)));
+            return Err(
+                sparse.malformed(format!("{count} elements replace more than there are, {}", self.count))
+            );
         }
         let part = |key: &str| sparse.object(key)?.ok_or_else(|| sparse.malformed_at(key, "is missing"));
         let (indices, values) = (part("indices")?, part("values")?);
@@ -263,7 +293,8 @@ impl<'a> Accessor<'a> {
         for i in 0..count {
             let index = kind.read_index(index_elements.get(i));
             if index as usize >= self.count {
-                return Err(indices.malformed(format!("element {i} is {index}, but there are {} elements", self.count)));
+                return Err(indices
+                    .malformed(format!("element {i} is {index}, but there are {} elements", self.count)));
             }
             set(index, &value_elements.get(i)[..element_bytes]);
         }

@@ -46,7 +46,8 @@ impl Pose {
         }
         let animation = resources.root.item("animations", animation)?;
         for channel in animation.items("channels")? {
-            let target = channel.object("target")?.ok_or_else(|| channel.malformed_at("target", "is missing"))?;
+            let target =
+                channel.object("target")?.ok_or_else(|| channel.malformed_at("target", "is missing"))?;
             let path = target.string("path")?;
             let Some(node_index) = target.index("node")? else {
                 if path == Some("pointer") {

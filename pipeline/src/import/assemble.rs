@@ -113,7 +113,12 @@ impl Assembler<'_, '_> {
     }
 
     /// Loads all primitives of a mesh and tells where they are in the scene.
-    fn load(&mut self, mesh: &Json<'_>, weights: &[f32], skin: Option<&Skin>) -> Result<Vec<u32>, ImportError> {
+    fn load(
+        &mut self,
+        mesh: &Json<'_>,
+        weights: &[f32],
+        skin: Option<&Skin>,
+    ) -> Result<Vec<u32>, ImportError> {
         let mut meshes = Vec::new();
         for primitive in mesh.items("primitives")? {
             let material = self.materials.get(self.resources, primitive.index("material")?)?;
@@ -136,7 +141,8 @@ impl Assembler<'_, '_> {
     fn place(&mut self, node: &Json<'_>, meshes: &[u32], placements: &[DMat4]) -> Result<(), ImportError> {
         let triangles: u64 =
             meshes.iter().map(|mesh| self.scene.meshes[*mesh as usize].triangles.len() as u64).sum();
-        self.drawn_triangles = self.drawn_triangles.saturating_add(triangles.saturating_mul(placements.len() as u64));
+        self.drawn_triangles =
+            self.drawn_triangles.saturating_add(triangles.saturating_mul(placements.len() as u64));
         if self.drawn_triangles > self.options.max_triangles {
             return Err(ImportError::OverLimit {
                 file: node.file().to_owned(),

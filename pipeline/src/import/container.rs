@@ -36,7 +36,8 @@ pub(super) fn split(file: &str, bytes: &[u8]) -> Result<Container, ImportError> 
         Some(u32::from_le_bytes([word[0], word[1], word[2], word[3]]))
     };
     let (Some(version), Some(length)) = (word(4), word(8)) else {
-        let rule = format!("the file ends after {} bytes, within the header of {HEADER_BYTES} bytes", bytes.len());
+        let rule =
+            format!("the file ends after {} bytes, within the header of {HEADER_BYTES} bytes", bytes.len());
         return Err(malformed("GLB header", rule));
     };
     if version != 2 {
@@ -49,7 +50,8 @@ pub(super) fn split(file: &str, bytes: &[u8]) -> Result<Container, ImportError> 
     }
     let length = length as usize;
     if length > bytes.len() {
-        let rule = format!("the header tells {length} bytes, but the file has {}: it is truncated", bytes.len());
+        let rule =
+            format!("the header tells {length} bytes, but the file has {}: it is truncated", bytes.len());
         return Err(malformed("GLB header", rule));
     }
     let mut json = None;

@@ -50,10 +50,13 @@ impl Skin {
         if let Some(inverse) = skin.index("inverseBindMatrices")? {
             let accessor = Accessor::parse(resources, inverse)?;
             if accessor.width != 16 || accessor.count < joints.len() {
-                return Err(accessor.malformed(format!("must hold a 4 x 4 matrix for each of {} joints", joints.len())));
+                return Err(accessor
+                    .malformed(format!("must hold a 4 x 4 matrix for each of {} joints", joints.len())));
             }
             let matrices = accessor.read(resources, None, &skin.place())?;
-            for (joint, (world, matrix)) in world_from_bind.iter_mut().zip(matrices.as_chunks::<16>().0).enumerate() {
+            for (joint, (world, matrix)) in
+                world_from_bind.iter_mut().zip(matrices.as_chunks::<16>().0).enumerate()
+            {
                 let matrix = DMat4::from_cols_array(&matrix.map(f64::from));
                 if !matrix.is_finite() {
                     return Err(accessor.malformed(format!("element {joint} is not finite")));
@@ -82,7 +85,9 @@ impl Skin {
             for (joint, weight) in influences.of(vertex) {
                 let Some(matrix) = self.world_from_bind.get(joint as usize) else {
                     let joints = self.world_from_bind.len();
-                    return Err(malformed(format!("vertex {vertex} follows joint {joint}, but there are {joints} joints")));
+                    return Err(malformed(format!(
+                        "vertex {vertex} follows joint {joint}, but there are {joints} joints"
+                    )));
                 };
                 world_from_bind += *matrix * (weight / total);
             }
@@ -94,12 +99,19 @@ impl Skin {
             if let Some(normal) = mesh.normals.get_mut(vertex) {
                 // Cofactors are the inverse transpose up to a factor, and exist for singular matrices, too.
                 let m = DMat3::from_mat4(world_from_bind);
-                let cofactors =
-                    DMat3::from_cols(m.y_axis.cross(m.z_axis), m.z_axis.cross(m.x_axis), m.x_axis.cross(m.y_axis));
+                let cofactors = DMat3::from_cols(
+                    m.y_axis.cross(m.z_axis),
+                    m.z_axis.cross(m.x_axis),
+                    m.x_axis.cross(m.y_axis),
+                );
                 let bent = cofactors * normal.as_dvec3();
                 let side = if m.determinant() < 0.0 { -1.0 } else { 1.0 };
                 let length = bent.length();
-                *normal = if length > 0.0 { unit_or_zero((bent / length * side).as_vec3()) } else { glam::Vec3::ZERO };
+                *normal = if length > 0.0 {
+                    unit_or_zero((bent / length * side).as_vec3())
+                } else {
+                    glam::Vec3::ZERO
+                };
             }
         }
         let mut normals = std::mem::take(&mut mesh.normals);

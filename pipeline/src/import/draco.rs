@@ -28,7 +28,10 @@ impl Decoded {
         // A decoder of this size may still hold a slip; broken data must not take the whole bake down.
         let decoded = catch_unwind(AssertUnwindSafe(|| {
             let mut mesh = Mesh::new();
-            MeshDecoder::new().decode(&mut buffer, &mut mesh).map(|()| mesh).map_err(|error| error.to_string())
+            MeshDecoder::new()
+                .decode(&mut buffer, &mut mesh)
+                .map(|()| mesh)
+                .map_err(|error| error.to_string())
         }));
         let mesh = match decoded {
             Ok(Ok(mesh)) => mesh,
@@ -36,7 +39,10 @@ impl Decoded {
             Err(_) => return Err(extension.malformed("its Draco data is broken")),
         };
         let vertex_count = mesh.num_points();
-        resources.charge((vertex_count as u64 + mesh.num_faces() as u64) * BYTES_PER_ELEMENT, &extension.place())?;
+        resources.charge(
+            (vertex_count as u64 + mesh.num_faces() as u64) * BYTES_PER_ELEMENT,
+            &extension.place(),
+        )?;
         Ok(Self { mesh, vertex_count })
     }
 

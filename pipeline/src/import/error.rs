@@ -7,10 +7,12 @@ use std::path::PathBuf;
 #[derive(Debug, thiserror::Error)]
 pub enum ImportError {
     /// A file is missing, is no file, or may not be read.
-    #[error("{}: {place} cannot be read: {source}; check that the file is there, beside the scene, and readable", file.display())]
+    #[error("{file}: {place} ({}) cannot be read: {source}; check that the file is there and readable", path.display())]
     Unreadable {
+        /// The scene file.
+        file: String,
         /// The file that could not be read.
-        file: PathBuf,
+        path: PathBuf,
         /// What refers to it, such as `buffers[0].uri`.
         place: String,
         /// The operating system's answer.
@@ -29,7 +31,9 @@ pub enum ImportError {
         uri: String,
     },
     /// The file breaks a rule of glTF 2.0 that the bake relies on.
-    #[error("{file}: {place}: {rule}; export the scene again, or see what the Khronos glTF validator says about it")]
+    #[error(
+        "{file}: {place}: {rule}; export the scene again, or see what the Khronos glTF validator says about it"
+    )]
     Malformed {
         /// The scene file, or the file beside it that is wrong.
         file: String,

@@ -33,7 +33,9 @@ pub(super) fn load(
     let Some(attributes) = primitive.object("attributes")? else {
         return Err(primitive.malformed_at("attributes", "is missing"));
     };
-    let Some(mut source) = Attributes::open(resources, primitive, attributes, weights)? else { return Ok(None) };
+    let Some(mut source) = Attributes::open(resources, primitive, attributes, weights)? else {
+        return Ok(None);
+    };
     let indices = source.indices(primitive)?;
     let mut triangles = triangles(resources, primitive, &indices)?;
     drop(indices);
@@ -70,7 +72,10 @@ fn triangles(
     Ok(match mode {
         4 => {
             if !count.is_multiple_of(3) {
-                resources.warn(format!("{}: {count} indices are no whole triangles; the rest is left out", primitive.place()));
+                resources.warn(format!(
+                    "{}: {count} indices are no whole triangles; the rest is left out",
+                    primitive.place()
+                ));
             }
             (0..list_count).map(|i| [at(3 * i), at(3 * i + 1), at(3 * i + 2)]).collect()
         }
@@ -140,6 +145,9 @@ impl<'r, 'a> Attributes<'r, 'a> {
                 Some((Decoded::decode(resources, &extension)?, ids))
             }
         };
+        if draco.is_none() {
+            position.check_extent(resources)?;
+        }
         let vertex_count = draco.as_ref().map_or(position.count, |(draco, _)| draco.vertex_count);
         let targets = primitive.items("targets")?.into_iter().zip(weights.iter().copied());
         let targets = targets.filter(|(_, weight)| *weight != 0.0).collect();
@@ -160,7 +168,10 @@ impl<'r, 'a> Attributes<'r, 'a> {
             return Err(ImportError::Malformed {
                 file: self.resources.root.file().to_owned(),
                 place,
-                rule: format!("element {at} is {}, but there are {} vertices", indices[at], self.vertex_count),
+                rule: format!(
+                    "element {at} is {}, but there are {} vertices",
+                    indices[at], self.vertex_count
+                ),
             });
         }
         Ok(Indices::Listed(indices))
@@ -214,7 +225,8 @@ impl<'r, 'a> Attributes<'r, 'a> {
         let mut accessor = Accessor::parse(self.resources, index)?;
         let place = self.attributes.place_of(name);
         if !widths.contains(&accessor.width) {
-            return Err(accessor.malformed(format!("has {} components, of which {place} cannot be made", accessor.width)));
+            return Err(accessor
+                .malformed(format!("has {} components, of which {place} cannot be made", accessor.width)));
         }
         // Some exporters forget to say so; a colour of integers cannot be anything else.
         accessor.normalized |= name == "COLOR_0";
@@ -229,7 +241,9 @@ impl<'r, 'a> Attributes<'r, 'a> {
             let place = target.place_of(name);
             // Tangents lose their handedness in morph targets, so a narrower target is right for some attributes.
             if accessor.width > width {
-                return Err(accessor.malformed(format!("has {} components, too many for {place}", accessor.width)));
+                return Err(
+                    accessor.malformed(format!("has {} components, too many for {place}", accessor.width))
+                );
             }
             let deltas = self.read_accessor(&accessor, &place)?;
             for (value, delta) in values.chunks_exact_mut(width).zip(deltas.chunks_exact(accessor.width)) {
@@ -253,7 +267,8 @@ impl<'r, 'a> Attributes<'r, 'a> {
         let Some((draco, ids)) = &self.draco else { return Ok(None) };
         let Some(id) = ids.index(name)? else { return Ok(None) };
         let values = u32::try_from(id).ok().and_then(|id| draco.read(id, accessor.width));
-        let values = values.ok_or_else(|| ids.malformed_at(name, format!("the Draco data has no attribute {id}")))?;
+        let values =
+            values.ok_or_else(|| ids.malformed_at(name, format!("the Draco data has no attribute {id}")))?;
         let mut values = match &self.used {
             None => values,
             Some(used) => used
@@ -270,7 +285,8 @@ impl<'r, 'a> Attributes<'r, 'a> {
 
     fn positions(&self) -> Result<Vec<Vec3>, ImportError> {
         let Some((values, _)) = self.read("POSITION", &[3])? else { return Ok(Vec::new()) };
-        let positions: Vec<Vec3> = values.as_chunks::<3>().0.iter().map(|value| Vec3::from_array(*value)).collect();
+        let positions: Vec<Vec3> =
+            values.as_chunks::<3>().0.iter().map(|value| Vec3::from_array(*value)).collect();
         if let Some(at) = positions.iter().position(|position| !position.is_finite()) {
             let p = positions[at];
             return Err(self.malformed("POSITION", at, format!("({}, {}, {}) is not finite", p.x, p.y, p.z)));
@@ -290,7 +306,8 @@ impl<'r, 'a> Attributes<'r, 'a> {
         let Some(uv_use) = uv_use else { return Ok(Vec::new()) };
         let name = format!("TEXCOORD_{}", uv_use.set);
         let Some((values, _)) = self.read(&name, &[2])? else {
-            self.resources.warn(format!("{}: is missing, so its texture is not used", self.attributes.place_of(&name)));
+            self.resources
+                .warn(format!("{}: is missing, so its texture is not used", self.attributes.place_of(&name)));
             return Ok(Vec::new());
         };
         let uvs: Vec<Vec2> = values.as_chunks::<2>().0.iter().map(|uv| uv_use.apply(*uv)).collect();
@@ -302,7 +319,8 @@ impl<'r, 'a> Attributes<'r, 'a> {
 
     fn colors(&self) -> Result<Vec<Vec4>, ImportError> {
         let Some((values, width)) = self.read("COLOR_0", &[3, 4])? else { return Ok(Vec::new()) };
-        let color = |color: &[f32]| Vec4::new(color[0], color[1], color[2], color.get(3).copied().unwrap_or(1.0));
+        let color =
+            |color: &[f32]| Vec4::new(color[0], color[1], color[2], color.get(3).copied().unwrap_or(1.0));
         let colors: Vec<Vec4> = values.chunks_exact(width).map(color).collect();
         if let Some(at) = colors.iter().position(|color| !color.is_finite()) {
             return Err(self.malformed("COLOR_0", at, "is not finite".to_owned()));
@@ -315,7 +333,8 @@ impl<'r, 'a> Attributes<'r, 'a> {
         let mut influences = Influences::default();
         for set in 0.. {
             let (joints, weights) = (format!("JOINTS_{set}"), format!("WEIGHTS_{set}"));
-            let (Some((joints, _)), Some((weights, _))) = (self.read(&joints, &[4])?, self.read(&weights, &[4])?)
+            let (Some((joints, _)), Some((weights, _))) =
+                (self.read(&joints, &[4])?, self.read(&weights, &[4])?)
             else {
                 break;
             };

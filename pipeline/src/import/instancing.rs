@@ -17,11 +17,14 @@ pub(super) fn placements(resources: &Resources<'_>, node: &Json<'_>) -> Result<V
         let Some(index) = attributes.index(name)? else { return Ok(None) };
         let accessor = Accessor::parse(resources, index)?;
         if accessor.width != width {
-            return Err(accessor.malformed(format!("must have {width} components as {}", attributes.place_of(name))));
+            return Err(
+                accessor.malformed(format!("must have {width} components as {}", attributes.place_of(name)))
+            );
         }
         let expected = *count.get_or_insert(accessor.count);
         if accessor.count != expected {
-            return Err(attributes.malformed(format!("{name} has {} elements, others have {expected}", accessor.count)));
+            return Err(attributes
+                .malformed(format!("{name} has {} elements, others have {expected}", accessor.count)));
         }
         let values = accessor.read(resources, None, &attributes.place_of(name))?;
         match values.iter().position(|value| !value.is_finite()) {
@@ -36,7 +39,11 @@ pub(super) fn placements(resources: &Resources<'_>, node: &Json<'_>) -> Result<V
         Some(count) => count,
         // Only custom attributes: they place nothing, but there are as many instances as they have elements.
         None => match attributes.keys().first() {
-            Some(name) => Accessor::parse(resources, attributes.required_index(name)?)?.count,
+            Some(name) => {
+                let accessor = Accessor::parse(resources, attributes.required_index(name)?)?;
+                accessor.check_extent(resources)?;
+                accessor.count
+            }
             None => return Err(attributes.malformed("must have at least one attribute")),
         },
     };
@@ -46,7 +53,11 @@ pub(super) fn placements(resources: &Resources<'_>, node: &Json<'_>) -> Result<V
         value.map_or(default, |value| value.map(f64::from))
     }
     let placement = |i| {
-        transform(at(&translations, i, [0.0; 3]), at(&rotations, i, [0.0, 0.0, 0.0, 1.0]), at(&scales, i, [1.0; 3]))
+        transform(
+            at(&translations, i, [0.0; 3]),
+            at(&rotations, i, [0.0, 0.0, 0.0, 1.0]),
+            at(&scales, i, [1.0; 3]),
+        )
     };
     Ok((0..count).map(placement).collect())
 }

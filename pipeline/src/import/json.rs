@@ -47,8 +47,11 @@ impl<'a> Json<'a> {
 
     /// The object's keys in the order of their names, or none if this is no object.
     pub(super) fn keys(&self) -> Vec<&'a str> {
-        let mut keys: Vec<&str> =
-            self.value.as_object().map(|object| object.keys().map(String::as_str).collect()).unwrap_or_default();
+        let mut keys: Vec<&str> = self
+            .value
+            .as_object()
+            .map(|object| object.keys().map(String::as_str).collect())
+            .unwrap_or_default();
         keys.sort_unstable();
         keys
     }
@@ -104,7 +107,9 @@ impl<'a> Json<'a> {
     pub(super) fn indices(&self, key: &str) -> Result<Vec<usize>, ImportError> {
         let Some(value) = self.field(key) else { return Ok(Vec::new()) };
         let array = value.as_array().ok_or_else(|| self.malformed_at(key, "must be an array of indices"))?;
-        let index = |value| whole(value).ok_or_else(|| self.malformed_at(key, "must hold non-negative integers only"));
+        let index = |value| {
+            whole(value).ok_or_else(|| self.malformed_at(key, "must hold non-negative integers only"))
+        };
         array.iter().map(index).collect()
     }
 

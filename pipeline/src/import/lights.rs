@@ -26,19 +26,24 @@ pub(super) fn load(
             let angle = |key: &str, default: f64| -> Result<f64, ImportError> {
                 Ok(spot.as_ref().map(|spot| spot.number(key)).transpose()?.flatten().unwrap_or(default))
             };
-            let outer = angle("outerConeAngle", std::f64::consts::FRAC_PI_4)?.clamp(0.0, std::f64::consts::FRAC_PI_2);
+            let outer =
+                angle("outerConeAngle", std::f64::consts::FRAC_PI_4)?.clamp(0.0, std::f64::consts::FRAC_PI_2);
             let inner = angle("innerConeAngle", 0.0)?.clamp(0.0, outer);
             LightKind::Spot { inner_angle: inner as f32, outer_angle: outer as f32 }
         }
         other => {
             let name = other.unwrap_or("nothing");
-            resources.warn(format!("{}: \"{name}\" is no known kind; the light is left out", light.place_of("type")));
+            resources.warn(format!(
+                "{}: \"{name}\" is no known kind; the light is left out",
+                light.place_of("type")
+            ));
             return Ok(None);
         }
     };
     let color = light.numbers::<3>("color")?.unwrap_or([1.0; 3]);
     let intensity = light.number("intensity")?.unwrap_or(1.0);
-    let range = light.number("range")?.filter(|range| *range > 0.0).map_or(f32::INFINITY, |range| range as f32);
+    let range =
+        light.number("range")?.filter(|range| *range > 0.0).map_or(f32::INFINITY, |range| range as f32);
     let position = world_from_node.transform_point3(DVec3::ZERO).as_vec3();
     // Negative z is where a light shines; a singular transform leaves it no direction, so down it is.
     let direction = world_from_node.transform_vector3(DVec3::NEG_Z);

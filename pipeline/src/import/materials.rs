@@ -63,7 +63,8 @@ impl Materials {
             Some("MASK") => AlphaMode::Mask { cutoff: object.number("alphaCutoff")?.unwrap_or(0.5) as f32 },
             Some("BLEND") => AlphaMode::Blend,
             Some(other) => {
-                resources.warn(format!("{}: \"{other}\" is none; OPAQUE is used", object.place_of("alphaMode")));
+                resources
+                    .warn(format!("{}: \"{other}\" is none; OPAQUE is used", object.place_of("alphaMode")));
                 AlphaMode::Opaque
             }
         };
@@ -106,7 +107,8 @@ impl Materials {
             textures.extend(texture);
         }
         for material in &mut self.materials {
-            material.base_color_texture = material.base_color_texture.and_then(|index| places[index as usize]);
+            material.base_color_texture =
+                material.base_color_texture.and_then(|index| places[index as usize]);
             if let Some(index) = material.emissive_texture {
                 material.emissive_texture = places[index as usize];
                 if material.emissive_texture.is_none() {
@@ -137,7 +139,8 @@ fn base_color<'a>(resources: &Resources<'_>, material: &Json<'a>) -> Result<Opti
         return Ok(Some((factor.unwrap_or([1.0; 4]), texture)));
     }
     if material.extension("KHR_techniques_webgl").is_some() {
-        resources.warn(format!("{}: KHR_techniques_webgl is ignored; its base colour is white", material.place()));
+        resources
+            .warn(format!("{}: KHR_techniques_webgl is ignored; its base colour is white", material.place()));
     }
     Ok(None)
 }

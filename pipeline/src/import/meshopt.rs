@@ -50,17 +50,23 @@ impl Job {
             Some("QUATERNION") => Filter::Quaternion,
             Some("EXPONENTIAL") => Filter::Exponential,
             Some("COLOR") => Filter::Color,
-            Some(other) => return Err(extension.malformed_at("filter", format!("\"{other}\" is no known filter"))),
+            Some(other) => {
+                return Err(extension.malformed_at("filter", format!("\"{other}\" is no known filter")));
+            }
         };
         let stride_fits = match (mode, filter) {
-            (Mode::Attributes, Filter::None | Filter::Exponential) => stride.is_multiple_of(4) && (4..=256).contains(&stride),
+            (Mode::Attributes, Filter::None | Filter::Exponential) => {
+                stride.is_multiple_of(4) && (4..=256).contains(&stride)
+            }
             (Mode::Attributes, Filter::Octahedral | Filter::Color) => stride == 4 || stride == 8,
             (Mode::Attributes, Filter::Quaternion) => stride == 8,
             (_, Filter::None) => stride == 2 || stride == 4,
             _ => return Err(extension.malformed_at("filter", "applies to the mode ATTRIBUTES only")),
         };
         if !stride_fits {
-            return Err(extension.malformed_at("byteStride", format!("{stride} does not fit the mode and filter")));
+            return Err(
+                extension.malformed_at("byteStride", format!("{stride} does not fit the mode and filter"))
+            );
         }
         if mode == Mode::Triangles && !count.is_multiple_of(3) {
             return Err(extension.malformed_at("count", format!("{count} is not divisible by 3")));
@@ -70,10 +76,13 @@ impl Job {
         let possible = match mode {
             Mode::Triangles => count / 3 + 17 <= encoded_bytes,
             Mode::Indices => count.saturating_add(5) <= encoded_bytes,
-            Mode::Attributes => count.saturating_mul(stride) <= encoded_bytes.saturating_mul(1024).saturating_add(8192),
+            Mode::Attributes => {
+                count.saturating_mul(stride) <= encoded_bytes.saturating_mul(1024).saturating_add(8192)
+            }
         };
         if !possible {
-            return Err(extension.malformed_at("count", format!("{count} elements cannot come from {encoded_bytes} bytes")));
+            return Err(extension
+                .malformed_at("count", format!("{count} elements cannot come from {encoded_bytes} bytes")));
         }
         Ok(Self { mode, filter, count, stride })
     }

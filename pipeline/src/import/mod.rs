@@ -92,13 +92,13 @@ pub struct Imported {
 
 /// Imports the glTF scene at `path`.
 pub fn import(path: &Path, options: &ImportOptions) -> Result<Imported, ImportError> {
+    let file = path.file_name().unwrap_or(path.as_os_str()).to_string_lossy().into_owned();
     let unreadable = |source| ImportError::Unreadable {
-        file: path.to_owned(),
+        file: file.clone(),
+        path: path.to_owned(),
         place: "the scene".to_owned(),
         source,
     };
-    let file = path.file_name().map(|name| name.to_string_lossy().into_owned());
-    let file = file.ok_or_else(|| unreadable(std::io::Error::other("not a file name")))?;
     let metadata = fs_err::metadata(path).map_err(unreadable)?;
     if !metadata.is_file() {
         return Err(unreadable(std::io::Error::other("not a regular file")));
@@ -115,11 +115,12 @@ pub fn import(path: &Path, options: &ImportOptions) -> Result<Imported, ImportEr
     }
     let bytes = fs_err::read(path).map_err(unreadable)?;
     let container = container::split(&file, &bytes)?;
-    let value = serde_json::from_slice(&bytes[container.json.clone()]).map_err(|error| ImportError::Malformed {
-        file: file.clone(),
-        place: format!("JSON line {}, column {}", error.line(), error.column()),
-        rule: error.to_string(),
-    })?;
+    let value =
+        serde_json::from_slice(&bytes[container.json.clone()]).map_err(|error| ImportError::Malformed {
+            file: file.clone(),
+            place: format!("JSON line {}, column {}", error.line(), error.column()),
+            rule: error.to_string(),
+        })?;
     let root = Json::root(&file, &value);
     extensions::check(&root, options.time_seconds.is_some())?;
     let folder = path.parent().filter(|folder| !folder.as_os_str().is_empty()).unwrap_or(Path::new("."));

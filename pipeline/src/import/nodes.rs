@@ -20,18 +20,22 @@ impl Graph {
         let root = &resources.root;
         let nodes = root.items("nodes")?;
         resources.charge(nodes.len() as u64 * 512, "nodes")?;
-        let children: Vec<Vec<usize>> = nodes.iter().map(|node| node.indices("children")).collect::<Result<_, _>>()?;
+        let children: Vec<Vec<usize>> =
+            nodes.iter().map(|node| node.indices("children")).collect::<Result<_, _>>()?;
         let mut parents = vec![None; nodes.len()];
         for (parent, children) in children.iter().enumerate() {
             for child in children {
                 let node = root.item("nodes", *child)?;
                 if let Some(other) = parents[*child].replace(parent) {
-                    return Err(node.malformed(format!("is a child of nodes[{other}] and of nodes[{parent}]; a node has one parent")));
+                    return Err(node.malformed(format!(
+                        "is a child of nodes[{other}] and of nodes[{parent}]; a node has one parent"
+                    )));
                 }
             }
         }
         let mut world_from_node = vec![None; nodes.len()];
-        let mut pending: Vec<usize> = (0..nodes.len()).rev().filter(|node| parents[*node].is_none()).collect();
+        let mut pending: Vec<usize> =
+            (0..nodes.len()).rev().filter(|node| parents[*node].is_none()).collect();
         while let Some(index) = pending.pop() {
             let node = &nodes[index];
             let mut world = local_transform(resources, node, pose, index)?;
@@ -47,7 +51,9 @@ impl Graph {
         let world_from_node = world_from_node
             .into_iter()
             .zip(&nodes)
-            .map(|(world, node)| world.ok_or_else(|| node.malformed("is its own ancestor; nodes must not form cycles")))
+            .map(|(world, node)| {
+                world.ok_or_else(|| node.malformed("is its own ancestor; nodes must not form cycles"))
+            })
             .collect::<Result<_, _>>()?;
         let shown = shown(resources, &nodes, &children, &parents)?;
         Ok(Self { world_from_node, shown })
@@ -71,7 +77,9 @@ fn shown(
             root.item("nodes", *node)?;
             if let Some(parent) = parents[*node] {
                 let place = scene.place_of("nodes");
-                resources.warn(format!("{place}: nodes[{node}] is no root but a child of nodes[{parent}]; it is drawn there"));
+                resources.warn(format!(
+                    "{place}: nodes[{node}] is no root but a child of nodes[{parent}]; it is drawn there"
+                ));
             }
         }
         roots

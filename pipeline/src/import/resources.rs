@@ -101,8 +101,12 @@ impl<'a> Resources<'a> {
                 Ok(bytes)
             }
             Location::File { path, relative } => {
-                let unreadable =
-                    |source| ImportError::Unreadable { file: path.clone(), place: place.to_owned(), source };
+                let unreadable = |source| ImportError::Unreadable {
+                    file: self.root.file().to_owned(),
+                    path: path.clone(),
+                    place: place.to_owned(),
+                    source,
+                };
                 let read = (|| {
                     let metadata = fs_err::metadata(&path)?;
                     if !metadata.is_file() {
@@ -110,7 +114,8 @@ impl<'a> Resources<'a> {
                     }
                     Ok(metadata.len())
                 })();
-                let length = read.inspect_err(|_| self.note_file(relative.clone(), None)).map_err(unreadable)?;
+                let length =
+                    read.inspect_err(|_| self.note_file(relative.clone(), None)).map_err(unreadable)?;
                 self.charge(length, place)?;
                 let bytes = fs_err::read(&path).map_err(unreadable)?;
                 self.note_file(relative, Some(&bytes));
@@ -125,7 +130,9 @@ impl<'a> Resources<'a> {
         let length = buffer.required_index("byteLength")?;
         let bytes: &[u8] = match (buffer.string("uri")?, self.bin) {
             (None, Some(bin)) if index == 0 => bin,
-            (None, _) => return Err(buffer.malformed("has no uri and is not the binary chunk, so it has no data")),
+            (None, _) => {
+                return Err(buffer.malformed("has no uri and is not the binary chunk, so it has no data"));
+            }
             (Some(uri), _) => match self.buffers[index].get() {
                 Some(bytes) => bytes,
                 None => {
@@ -156,8 +163,9 @@ impl<'a> Resources<'a> {
     /// Bytes of buffer view `index`, decompressed if they are compressed.
     pub(super) fn view(&self, index: usize) -> Result<View<'_>, ImportError> {
         let view = self.root.item("bufferViews", index)?;
-        let compressed =
-            ["EXT_meshopt_compression", "KHR_meshopt_compression"].iter().find_map(|name| view.extension(name));
+        let compressed = ["EXT_meshopt_compression", "KHR_meshopt_compression"]
+            .iter()
+            .find_map(|name| view.extension(name));
         let Some(compressed) = compressed else {
             let stride = view.index("byteStride")?.filter(|stride| *stride > 0);
             return Ok(View { bytes: self.part(&view)?, stride });

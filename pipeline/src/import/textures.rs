@@ -88,14 +88,16 @@ impl Textures {
     ) -> Result<(Option<u32>, UvUse), ImportError> {
         let uv = UvUse::parse(reference)?;
         let texture = resources.root.item("textures", reference.required_index("index")?)?;
-        let webp = texture.extension("EXT_texture_webp").map(|webp| webp.index("source")).transpose()?.flatten();
+        let webp =
+            texture.extension("EXT_texture_webp").map(|webp| webp.index("source")).transpose()?.flatten();
         let images: Vec<usize> = webp.into_iter().chain(texture.index("source")?).collect();
         for image in &images {
             resources.root.item("images", *image)?;
         }
         if images.is_empty() {
             let extensions = texture.object("extensions")?.map(|extensions| extensions.keys().join(", "));
-            let why = extensions.map_or_else(|| "no source".to_owned(), |names| format!("no source but that of {names}"));
+            let why = extensions
+                .map_or_else(|| "no source".to_owned(), |names| format!("no source but that of {names}"));
             resources.warn(format!("{}: has {why}; the factor is used alone", texture.place()));
             return Ok((None, uv));
         }
@@ -186,13 +188,17 @@ fn prepare<'r>(
         }
         Err(error) => return Err(error),
     };
-    let size = ImageReader::new(Cursor::new(&bytes[..])).with_guessed_format().map_err(image::ImageError::from);
+    let size =
+        ImageReader::new(Cursor::new(&bytes[..])).with_guessed_format().map_err(image::ImageError::from);
     match size.and_then(ImageReader::into_dimensions) {
         Ok((width, height)) => {
             let texels = u64::from(width) * u64::from(height);
             if texels > MAX_UNBACKED_TEXELS && texels / MAX_TEXELS_PER_BYTE > bytes.len() as u64 {
                 let place = image.place();
-                return Ok(Err(format!("{place}: {width} x {height} texels cannot come from {} bytes", bytes.len())));
+                return Ok(Err(format!(
+                    "{place}: {width} x {height} texels cannot come from {} bytes",
+                    bytes.len()
+                )));
             }
             resources.charge(texels * 4, &image.place())?;
             Ok(Ok(bytes))
@@ -218,7 +224,13 @@ mod tests {
     #[test]
     fn the_series_agree_with_known_angles() {
         use std::f64::consts::{FRAC_1_SQRT_2, PI};
-        let cases = [(0.0, 0.0, 1.0), (PI / 2.0, 1.0, 0.0), (PI, 0.0, -1.0), (-PI / 4.0, -FRAC_1_SQRT_2, FRAC_1_SQRT_2), (PI / 6.0 + 20.0 * PI, 0.5, 0.75_f64.sqrt())];
+        let cases = [
+            (0.0, 0.0, 1.0),
+            (PI / 2.0, 1.0, 0.0),
+            (PI, 0.0, -1.0),
+            (-PI / 4.0, -FRAC_1_SQRT_2, FRAC_1_SQRT_2),
+            (PI / 6.0 + 20.0 * PI, 0.5, 0.75_f64.sqrt()),
+        ];
         for (angle, sin, cos) in cases {
             let [s, c] = sin_cos(angle);
             assert!((s - sin).abs() < 1e-13 && (c - cos).abs() < 1e-13, "{angle}: {s}, {c}");

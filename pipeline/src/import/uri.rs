@@ -48,7 +48,8 @@ pub(super) fn locate(
             file: file.to_owned(),
             place: place.to_owned(),
             feature: format!("the URI scheme \"{scheme}:\""),
-            way_out: "download the file, put it beside the scene and refer to it by a relative path".to_owned(),
+            way_out: "download the file, put it beside the scene and refer to it by a relative path"
+                .to_owned(),
         });
     }
     let decoded = percent_decode_str(text).decode_utf8().map_err(|_| malformed("is not UTF-8".to_owned()))?;
@@ -57,7 +58,12 @@ pub(super) fn locate(
     }
     // Names with a literal percent sign occur unescaped, too.
     let decoded = match normalize(&decoded) {
-        Some(path) if !folder.join(&path).exists() && normalize(text).is_some_and(|raw| folder.join(raw).exists()) => text,
+        Some(path)
+            if !folder.join(&path).exists()
+                && normalize(text).is_some_and(|raw| folder.join(raw).exists()) =>
+        {
+            text
+        }
         _ => &*decoded,
     };
     let outside =
@@ -111,7 +117,8 @@ fn data(text: &str) -> Result<Vec<u8>, String> {
     if !header.to_ascii_lowercase().ends_with(";base64") {
         return Ok(percent_decode_str(body).collect());
     }
-    let clean: Vec<u8> = if body.contains('%') { percent_decode_str(body).collect() } else { body.as_bytes().to_vec() };
+    let clean: Vec<u8> =
+        if body.contains('%') { percent_decode_str(body).collect() } else { body.as_bytes().to_vec() };
     let clean: Vec<u8> = clean.into_iter().filter(|byte| !byte.is_ascii_whitespace()).collect();
     BASE64.decode(clean).map_err(|error| format!("its base64 data is broken: {error}"))
 }
@@ -140,7 +147,15 @@ mod tests {
 
     #[test]
     fn leaving_the_folder_is_refused_however_it_is_written() {
-        for text in ["../x.bin", "a/../../x.bin", "/etc/passwd", "%2e%2e/x.bin", "..%2fx.bin", "a/..\\..\\x.bin", "\\x"] {
+        for text in [
+            "../x.bin",
+            "a/../../x.bin",
+            "/etc/passwd",
+            "%2e%2e/x.bin",
+            "..%2fx.bin",
+            "a/..\\..\\x.bin",
+            "\\x",
+        ] {
             assert!(matches!(find(text, false), Err(ImportError::Outside { .. })), "{text}");
         }
         let Ok(Location::File { relative, .. }) = find("../x.bin", true) else { panic!("allowed") };
@@ -168,10 +183,12 @@ mod tests {
 
     #[test]
     fn data_uris_are_decoded() {
-        let data = |text| find(text, false).map(|location| match location {
-            Location::Data(bytes) => bytes,
-            Location::File { .. } => panic!("{text} is data"),
-        });
+        let data = |text| {
+            find(text, false).map(|location| match location {
+                Location::Data(bytes) => bytes,
+                Location::File { .. } => panic!("{text} is data"),
+            })
+        };
         assert_eq!(data("data:application/octet-stream;base64,AQID").unwrap(), [1, 2, 3]);
         assert_eq!(data("data:;base64,AQ").unwrap(), [1], "padding may be missing");
         assert_eq!(data("data:text/plain,a%20b").unwrap(), b"a b");
