@@ -1,20 +1,20 @@
 //! glTF 2.0 in: `.glb` and `.gltf` files become a [`Scene`].
 //!
-//! Files are hostile until proven otherwise. The JSON is read through a cursor ([`json`]) that checks just what the bake
+//! Files are hostile until proven otherwise. The JSON is read through a cursor (`json`) that checks just what the bake
 //! needs and names the place of what is wrong; buffers, images and buffer views are read only when something that is
-//! drawn refers to them ([`resources`]), so broken parts that nothing needs do no harm; and memory is counted against a
+//! drawn refers to them (`resources`), so broken parts that nothing needs do no harm; and memory is counted against a
 //! limit before it is allocated.
 //!
 //! | module | what it knows |
 //! |---|---|
-//! | [`container`], [`uri`], [`resources`] | where bytes come from |
-//! | [`meshopt`], [`draco`] | packed buffer views and primitives |
-//! | [`accessor`] | bytes as numbers |
-//! | [`animation`], [`nodes`], [`instancing`] | where things are at the time asked for |
-//! | [`geometry`], [`deform`] | triangles and attributes, morph targets, skins |
-//! | [`materials`], [`textures`], [`lights`] | the rest of what is kept |
-//! | [`assemble`] | the walk over the scene's nodes |
-//! | [`extensions`] | which required extensions are taken |
+//! | `container`, `uri`, `resources` | where bytes come from |
+//! | `meshopt`, `draco` | packed buffer views and primitives |
+//! | `accessor` | bytes as numbers |
+//! | `animation`, `nodes`, `instancing` | where things are at the time asked for |
+//! | `geometry`, `deform` | triangles and attributes, morph targets, skins |
+//! | `materials`, `textures`, `lights` | the rest of what is kept |
+//! | `assemble` | the walk over the scene's nodes |
+//! | `extensions` | which required extensions are taken |
 
 mod accessor;
 mod animation;
