@@ -5,6 +5,7 @@ pub mod cube;
 pub mod estimate;
 pub mod generate;
 pub mod glb;
+pub mod import;
 pub mod octree;
 pub mod points;
 pub mod reduce;
