@@ -192,15 +192,8 @@ fn create_part(folder: &Path, name: &OsStr) -> io::Result<(PathBuf, fs_err::File
             Err(error) if error.kind() == ErrorKind::AlreadyExists => continue,
             other => other?,
         };
-        match file.file().lock() {
-            Ok(()) => {}
-            // Such file systems cannot tell a live file from a stale one either, so nobody will remove it.
-            Err(error) if error.kind() == ErrorKind::Unsupported => {}
-            Err(error) => {
-                _ = fs_err::remove_file(&part);
-                return Err(error);
-            }
-        }
+        // Where there are no locks nobody can tell a live file from a stale one, so nobody will remove it either.
+        while file.file().lock().is_err_and(|error| error.kind() == ErrorKind::Interrupted) {}
         // Another process may have taken the file for stale between its creation and our lock.
         if fs_err::symlink_metadata(&part).is_ok() {
             return Ok((part, file));
@@ -250,4 +243,161 @@ fn sync_folder(folder: &Path) -> io::Result<()> {
 #[cfg(not(unix))]
 fn sync_folder(_: &Path) -> io::Result<()> {
     Ok(())
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    /// The names in a folder, sorted.
+    fn names(folder: &Path) -> Vec<String> {
+        let mut names: Vec<_> = fs_err::read_dir(folder)
+            .unwrap()
+            .map(|entry| entry.unwrap().file_name().into_string().unwrap())
+            .collect();
+        names.sort();
+        names
+    }
+
+    fn write(path: &Path, content: &str) -> AtomicFile {
+        let mut file = AtomicFile::create(path).unwrap();
+        file.write_all(content.as_bytes()).unwrap();
+        file
+    }
+
+    #[test]
+    fn the_output_appears_on_commit_and_only_then() {
+        let folder = tempfile::tempdir().unwrap();
+        let path = folder.path().join("out.bin");
+        for content in ["first", "second"] {
+            let mut file = write(&path, "?????");
+            file.seek(SeekFrom::Start(0)).unwrap();
+            file.write_all(&content.as_bytes()[..2]).unwrap();
+            file.seek(SeekFrom::Start(2)).unwrap();
+            file.write_all(&content.as_bytes()[2..]).unwrap();
+            let before = fs_err::read_to_string(&path).unwrap_or_default();
+            assert_ne!(before, content);
+            file.commit().unwrap();
+            assert_eq!(fs_err::read_to_string(&path).unwrap(), content);
+            assert_eq!(names(folder.path()), ["out.bin"]);
+        }
+    }
+
+    #[test]
+    fn dropping_leaves_the_old_output_and_nothing_else() {
+        let folder = tempfile::tempdir().unwrap();
+        let path = folder.path().join("out.bin");
+        fs_err::write(&path, "old").unwrap();
+        drop(write(&path, "new"));
+        assert_eq!(fs_err::read_to_string(&path).unwrap(), "old");
+        assert_eq!(names(folder.path()), ["out.bin"]);
+    }
+
+    #[test]
+    fn two_writers_of_one_output_do_not_meet() {
+        let folder = tempfile::tempdir().unwrap();
+        let path = folder.path().join("out.bin");
+        let (first, second) = (write(&path, "first"), write(&path, "second"));
+        first.commit().unwrap();
+        assert_eq!(fs_err::read_to_string(&path).unwrap(), "first");
+        second.commit().unwrap();
+        assert_eq!(fs_err::read_to_string(&path).unwrap(), "second");
+        assert_eq!(names(folder.path()), ["out.bin"]);
+    }
+
+    const OUTPUT_OF_CHILD: &str = "MANYVIEW_TEST_OUTPUT_OF_CHILD";
+
+    /// Not a test: the process that `a_killed_process_leaves_nothing_for_long` kills.
+    #[test]
+    #[ignore = "runs as the child of another test"]
+    fn child_that_never_finishes() {
+        let Some(path) = std::env::var_os(OUTPUT_OF_CHILD) else { return };
+        let mut file = write(Path::new(&path), "never");
+        file.flush().unwrap();
+        std::thread::sleep(std::time::Duration::from_secs(60));
+    }
+
+    #[test]
+    fn a_killed_process_leaves_nothing_for_long() {
+        let folder = tempfile::tempdir().unwrap();
+        let path = folder.path().join("out.bin");
+        let mut child = std::process::Command::new(std::env::current_exe().unwrap())
+            .args(["--exact", "atomic::tests::child_that_never_finishes", "--ignored"])
+            .env(OUTPUT_OF_CHILD, &path)
+            .stdout(std::process::Stdio::null())
+            .spawn()
+            .unwrap();
+        let is_written = || {
+            let part = fs_err::read_dir(folder.path()).unwrap().next();
+            part.is_some_and(|part| part.unwrap().metadata().unwrap().len() == 5)
+        };
+        let start = std::time::Instant::now();
+        while !is_written() {
+            assert!(start.elapsed().as_secs() < 30, "the child wrote nothing");
+            std::thread::sleep(std::time::Duration::from_millis(5));
+        }
+        let part_of_child = names(folder.path()).remove(0);
+        assert!(part_of_child.starts_with(&format!(".out.bin.{}-", child.id())), "{part_of_child}");
+
+        drop(write(&path, "while the child lives"));
+        assert_eq!(names(folder.path()), [part_of_child], "a live process keeps its file");
+        child.kill().unwrap();
+        child.wait().unwrap();
+        write(&path, "new").commit().unwrap();
+        assert_eq!(names(folder.path()), ["out.bin"]);
+    }
+
+    #[test]
+    fn only_own_leftovers_are_removed() {
+        let folder = tempfile::tempdir().unwrap();
+        let path = folder.path().join("out.bin");
+        let others = [".out.bin.1-.mvpart", ".out.bin.1-2", ".out.bin.a-2.mvpart", ".out.bin2.1-2.mvpart"];
+        for name in others.iter().chain(&[".out.bin.4000000000-7.mvpart"]) {
+            fs_err::write(folder.path().join(name), "left").unwrap();
+        }
+        write(&path, "new").commit().unwrap();
+        assert_eq!(names(folder.path()), [&others[..], &["out.bin"]].concat());
+    }
+
+    #[test]
+    fn errors_name_the_output_and_the_way_out() {
+        let folder = tempfile::tempdir().unwrap();
+        fs_err::write(folder.path().join("file"), "").unwrap();
+        fs_err::create_dir(folder.path().join("folder")).unwrap();
+        let fail = |name: &str| AtomicFile::create(folder.path().join(name)).err().unwrap();
+        for (name, part) in [
+            ("missing/out.bin", "make the folder first"),
+            ("file/out.bin", "make the folder first"),
+            ("folder", "is a folder, not a file"),
+            ("folder/..", "is a folder, not a file"),
+        ] {
+            let message = fail(name).to_string();
+            assert!(message.starts_with(&folder.path().join(name).display().to_string()), "{message}");
+            assert!(message.contains(part), "{message}");
+        }
+        assert_eq!(names(folder.path()), ["file", "folder"]);
+    }
+
+    #[test]
+    #[cfg(target_os = "linux")]
+    fn devices_are_not_replaced_and_unwritable_folders_are_named() {
+        let error = AtomicFile::create("/dev/null").err().unwrap().to_string();
+        assert!(error.contains("a device, pipe or socket, not a file"), "{error}");
+        // Nobody, root included, makes files there.
+        let error = AtomicFile::create("/proc/self/out.bin").err().unwrap().to_string();
+        assert!(error.starts_with("/proc/self/out.bin: cannot create it: "), "{error}");
+    }
+
+    #[test]
+    #[cfg(unix)]
+    fn links_stay_and_what_they_lead_to_is_replaced() {
+        let folder = tempfile::tempdir().unwrap();
+        let target = folder.path().join("target");
+        let link = folder.path().join("link");
+        fs_err::write(&target, "old").unwrap();
+        std::os::unix::fs::symlink(&target, &link).unwrap();
+        write(&link, "new").commit().unwrap();
+        assert!(fs_err::symlink_metadata(&link).unwrap().is_symlink());
+        assert_eq!(fs_err::read_to_string(&target).unwrap(), "new");
+    }
 }

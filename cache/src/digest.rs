@@ -96,7 +96,7 @@ pub trait KeyPart {
 /// use manyview_cache::digest::KeyEncoder;
 /// let mut key = KeyEncoder::new("manyview.step");
 /// key.text("voxels").unsigned(3).sequence(2).float(0.5).float(1.5);
-/// assert_eq!(key.finish().to_string(), "3d2c");
+/// assert!(key.finish().to_string().starts_with("a81a9e59c7537562"), "on every machine");
 /// ```
 #[derive(Clone)]
 pub struct KeyEncoder(DigestBuilder);
@@ -115,19 +115,18 @@ impl KeyEncoder {
         self
     }
 
-    /// Appends an unsigned integer. Widths are not told apart: `3u8` and `3u64` are the same value.
-    pub fn unsigned(&mut self, value: impl Into<u64>) -> &mut Self {
-        self.tagged(b'u', &value.into().to_le_bytes())
+    /// Appends an unsigned integer of any width.
+    pub fn unsigned(&mut self, value: u64) -> &mut Self {
+        self.tagged(b'u', &value.to_le_bytes())
     }
 
-    /// Appends a signed integer; `3i32` and `3u32` differ.
-    pub fn signed(&mut self, value: impl Into<i64>) -> &mut Self {
-        self.tagged(b'i', &value.into().to_le_bytes())
+    /// Appends a signed integer of any width. The signed and the unsigned 3 differ.
+    pub fn signed(&mut self, value: i64) -> &mut Self {
+        self.tagged(b'i', &value.to_le_bytes())
     }
 
-    /// Appends a floating-point number as a double. Both zeros are the same value, and so are all NaNs.
-    pub fn float(&mut self, value: impl Into<f64>) -> &mut Self {
-        let value: f64 = value.into();
+    /// Appends a floating-point number; singles go in as the doubles they equal. Both zeros are the same value, and so are all NaNs.
+    pub fn float(&mut self, value: f64) -> &mut Self {
         let canonical = if value == 0.0 {
             0.0
         } else if value.is_nan() {
@@ -212,7 +211,7 @@ mod tests {
     #[test]
     fn a_key_is_the_digest_of_the_documented_bytes() {
         let mut key = KeyEncoder::new("k");
-        key.unsigned(3u8).signed(-1).float(0.5f32).boolean(true).bytes(b"\0").none().sequence(7);
+        key.unsigned(3).signed(-1).float(0.5).boolean(true).bytes(b"\0").none().sequence(7);
         let mut expected = vec![b't', 1, 0, 0, 0, 0, 0, 0, 0, b'k', b'u', 3, 0, 0, 0, 0, 0, 0, 0];
         expected.push(b'i');
         expected.extend([0xff; 8]);
@@ -232,7 +231,7 @@ mod tests {
             key(&|k| _ = k.text("ab").text("c")),
             key(&|k| _ = k.text("a").text("bc")),
             key(&|k| _ = k.bytes(b"ab").bytes(b"c")),
-            key(&|k| _ = k.unsigned(1u32)),
+            key(&|k| _ = k.unsigned(1)),
             key(&|k| _ = k.signed(1)),
             key(&|k| _ = k.float(1.0)),
             key(&|k| _ = k.boolean(true)),
@@ -243,6 +242,6 @@ mod tests {
             assert!(keys[..i].iter().all(|b| a != b), "key {i} is not its own");
         }
         assert_eq!(key(&|k| _ = k.float(0.0)), key(&|k| _ = k.float(-0.0)));
-        assert_eq!(key(&|k| _ = k.float(f32::NAN)), key(&|k| _ = k.float(-f64::NAN)));
+        assert_eq!(key(&|k| _ = k.float(f64::NAN)), key(&|k| _ = k.float(-f64::NAN)));
     }
 }

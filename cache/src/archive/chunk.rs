@@ -3,6 +3,7 @@
 use std::cell::RefCell;
 use std::io;
 
+use rayon::prelude::*;
 use zstd::bulk::{Compressor, Decompressor};
 
 use super::error::{ArchiveError, ArchiveErrorKind, corrupt, expect_equal};
@@ -68,6 +69,12 @@ impl CompressedChunk {
         };
         let stored_digest = if codec == Codec::Raw { raw_digest } else { Digest::of(&stored) };
         Self { stored, raw_bytes: raw.len() as u32, codec, raw_digest, stored_digest }
+    }
+
+    /// Cuts `raw` into chunks as [`ArchiveWriter::append_raw`](super::ArchiveWriter::append_raw) does, and compresses
+    /// them in parallel.
+    pub fn compress_all(raw: &[u8], level: i32) -> Vec<Self> {
+        raw.par_chunks(MAX_CHUNK_BYTES).map(|raw| Self::compress(raw, level)).collect()
     }
 
     /// The bytes to store.

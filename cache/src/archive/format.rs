@@ -69,6 +69,8 @@ impl FromStr for SectionName {
             .get_mut(..name.len())
             .map(|start| start.copy_from_slice(name.as_bytes()))
             .and_then(|()| Self::from_stored(stored))
+            // A zero at the end would pass for padding.
+            .filter(|stored| stored.as_str() == name)
             .ok_or_else(|| {
                 let reason = format!(
                     "{name:?} is no name for a section: it takes 1 to 16 characters of a-z, 0-9, '.', '_' and '-'"
@@ -114,7 +116,8 @@ pub struct Section {
     pub chunks: Range<u32>,
     /// The size of its content.
     pub raw_bytes: u64,
-    /// The identity of its content, whatever the compression: see [`section_digest`].
+    /// The identity of its content, whatever the compression: BLAKE3 over, for each chunk, its raw size (u32,
+    /// little-endian) and the BLAKE3 of its raw bytes. So it is computed and checked with chunks in parallel.
     pub digest: Digest,
 }
 
@@ -147,8 +150,7 @@ impl ChunkRecord {
     }
 }
 
-/// The digest of a section: BLAKE3 over, for each chunk, the size of its content (u32, little-endian) and the BLAKE3
-/// of its content. So it can be computed and checked with chunks in parallel, and does not depend on the compression.
+/// [`Section::digest`], of the raw size and the digest of the raw bytes of each chunk.
 pub(super) fn section_digest(chunks: impl IntoIterator<Item = (u32, Digest)>) -> Digest {
     let mut digest = DigestBuilder::new();
     for (raw_bytes, raw_digest) in chunks {
@@ -221,14 +223,14 @@ impl Header {
                 header.index_bytes,
             ));
         }
-        if header.index_offset < HEADER_BYTES as u64 || header.index_offset % ALIGNMENT != 0 {
+        if header.index_offset < HEADER_BYTES as u64 || !header.index_offset.is_multiple_of(ALIGNMENT) {
             let expected = format!("a multiple of {ALIGNMENT}, at least {HEADER_BYTES}");
             return Err(corrupt("offset of the index", expected, header.index_offset));
         }
         // The index is the last thing in the file. Subtracting cannot overflow as adding to a hostile offset could.
         expect_equal(
             "offset of the index",
-            file_bytes.checked_sub(header.index_bytes.into()).unwrap_or_default(),
+            file_bytes.saturating_sub(header.index_bytes.into()),
             header.index_offset,
         )?;
         Ok(header)

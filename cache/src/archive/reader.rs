@@ -14,8 +14,12 @@ use super::source::{ByteSource, FileSource};
 /// The largest section that is read unless the caller raises the limit.
 const DEFAULT_SECTION_LIMIT_BYTES: u64 = 16 << 30;
 
-/// How many chunks are decoded before memory for the next ones is touched.
-const CHUNKS_PER_WAVE: usize = 256;
+/// How many chunks are decoded before memory for the next ones is taken, where it is not taken at once.
+const CHUNKS_PER_WAVE: usize = 64;
+
+/// Memory for a whole section is taken at once up to this ratio of raw to stored bytes. Voxels stay far below, zeros
+/// reach 30,000, and a lie may claim anything.
+const TRUSTED_RATIO: u64 = 256;
 
 /// An archive open for reading: its header and index are read and checked, its content is not.
 pub struct Archive {
@@ -101,26 +105,40 @@ impl Archive {
 
     /// As [`read_section`](Self::read_section), into memory of the caller, whose old content is lost.
     pub fn read_section_into(&self, section: &Section, content: &mut Vec<u8>) -> Result<(), ArchiveError> {
-        self.try_read_section(section, content).map_err(|error| self.name_error(error, section.id))
+        self.try_read_section(section, content).map_err(|error| {
+            content.clear();
+            self.name_error(error, section.id)
+        })
     }
 
     fn try_read_section(&self, section: &Section, content: &mut Vec<u8>) -> Result<(), ArchiveError> {
-        content.clear();
-        let limit_bytes = self.section_limit_bytes;
-        if section.raw_bytes > limit_bytes {
-            return Err(
-                ArchiveErrorKind::SectionTooLarge { raw_bytes: section.raw_bytes, limit_bytes }.into()
-            );
+        if self.section_numbers.get(&section.id).is_none_or(|&number| self.index.sections[number] != *section)
+        {
+            return Err(ArchiveErrorKind::MissingSection.into());
         }
-        usize::try_from(section.raw_bytes)
-            .ok()
-            .and_then(|bytes| content.try_reserve_exact(bytes).ok())
-            .ok_or(ArchiveErrorKind::OutOfMemory { bytes: section.raw_bytes })?;
-        // Memory is touched wave by wave, so that an archive that claims much and holds little costs little.
-        for (wave, records) in self.index.chunks[section.chunk_range()].chunks(CHUNKS_PER_WAVE).enumerate() {
-            let start = content.len();
-            content.resize(start + records.iter().map(|record| record.raw_bytes as usize).sum::<usize>(), 0);
-            let mut rest = &mut content[start..];
+        let limit_bytes = self.section_limit_bytes;
+        let raw_bytes = section.raw_bytes;
+        if raw_bytes > limit_bytes {
+            return Err(ArchiveErrorKind::SectionTooLarge { raw_bytes, limit_bytes }.into());
+        }
+        let out_of_memory = || ArchiveErrorKind::OutOfMemory { bytes: raw_bytes };
+        let size = usize::try_from(raw_bytes).map_err(|_| out_of_memory())?;
+        let records = &self.index.chunks[section.chunk_range()];
+        let stored_bytes: u64 = records.iter().map(|record| u64::from(record.stored_bytes)).sum();
+        content.truncate(size);
+        if content.capacity() < size && raw_bytes / TRUSTED_RATIO <= stored_bytes {
+            *content = Vec::new();
+            *content = zeroed(size).ok_or_else(out_of_memory)?;
+        }
+        let mut end = 0;
+        for (wave, records) in records.chunks(CHUNKS_PER_WAVE).enumerate() {
+            let start = end;
+            end += records.iter().map(|record| record.raw_bytes as usize).sum::<usize>();
+            if content.len() < end {
+                content.try_reserve(end - content.len()).map_err(|_| out_of_memory())?;
+                content.resize(end, 0);
+            }
+            let mut rest = &mut content[start..end];
             let mut jobs = Vec::with_capacity(records.len());
             for (number, record) in records.iter().enumerate() {
                 let (raw, behind) = rest.split_at_mut(record.raw_bytes as usize);
@@ -180,6 +198,14 @@ impl Archive {
         };
         error.in_chunk(number).in_archive(&self.name)
     }
+}
+
+/// Zeros, or `None` where there is no memory for them. They are zeroed pages of the system, which the threads that
+/// decode touch first: filling them on one thread would take as long as decoding.
+fn zeroed(size: usize) -> Option<Vec<u8>> {
+    // Allocating zeros aborts where it fails; this, which is freed again, does not.
+    Vec::<u8>::new().try_reserve_exact(size).ok()?;
+    Some(vec![0; size])
 }
 
 fn read_index(source: &dyn ByteSource) -> Result<(Header, Index), ArchiveError> {

@@ -39,20 +39,22 @@ impl Archive {
                 self.verify_chunk(number, raw).map_err(|error| self.name_chunk_error(error, number))
             })
             .collect();
+        let mut chunks = chunks.into_iter();
         let mut failures = Vec::new();
         for section in self.sections() {
             let range = section.chunk_range();
-            let sizes = self.chunks()[range.clone()].iter().map(|record| record.raw_bytes);
-            let digests: Option<Vec<_>> =
-                chunks[range].iter().map(|chunk| chunk.as_ref().ok().copied()).collect();
-            // The digest of a section with a broken chunk tells nothing new.
-            let Some(digests) = digests else { continue };
-            let found = section_digest(sizes.zip(digests));
-            if let Err(error) = expect_equal("digest of the content", section.digest, found) {
-                failures.push(self.name_error(error, section.id));
+            match all_or_errors(chunks.by_ref().take(range.len())) {
+                Ok(digests) => {
+                    let sizes = self.chunks()[range].iter().map(|record| record.raw_bytes);
+                    let found = section_digest(sizes.zip(digests));
+                    if let Err(error) = expect_equal("digest of the content", section.digest, found) {
+                        failures.push(self.name_error(error, section.id));
+                    }
+                }
+                // The digest of a section with a broken chunk tells nothing new.
+                Err(errors) => failures.extend(errors),
             }
         }
-        failures.extend(chunks.into_iter().filter_map(Result::err));
         VerifyReport {
             sections: self.sections().len(),
             chunks: self.chunks().len(),
@@ -83,4 +85,16 @@ impl Archive {
         }
         Ok(Digest::of(raw))
     }
+}
+
+/// All values, or all errors.
+fn all_or_errors<T, E>(results: impl Iterator<Item = Result<T, E>>) -> Result<Vec<T>, Vec<E>> {
+    let (mut values, mut errors) = (Vec::new(), Vec::new());
+    for result in results {
+        match result {
+            Ok(value) => values.push(value),
+            Err(error) => errors.push(error),
+        }
+    }
+    if errors.is_empty() { Ok(values) } else { Err(errors) }
 }

@@ -4,8 +4,6 @@ use std::collections::BTreeSet;
 use std::io::{Cursor, Seek, SeekFrom, Write};
 use std::path::Path;
 
-use rayon::prelude::*;
-
 use super::chunk::CompressedChunk;
 use super::error::{ArchiveError, ArchiveErrorKind, write_error};
 use super::format::{
@@ -140,10 +138,7 @@ impl<W: Write + Seek> ArchiveWriter<W> {
     /// Cuts `raw` into chunks, compresses them in parallel, and appends them to the current section.
     pub fn append_raw(&mut self, raw: &[u8]) -> Result<(), ArchiveError> {
         for wave in raw.chunks(WAVE_BYTES) {
-            let chunks: Vec<_> = wave
-                .par_chunks(MAX_CHUNK_BYTES)
-                .map(|raw| CompressedChunk::compress(raw, self.level))
-                .collect();
+            let chunks = CompressedChunk::compress_all(wave, self.level);
             chunks.iter().try_for_each(|chunk| self.append(chunk))?;
         }
         Ok(())

@@ -1,0 +1,418 @@
+//! Triangles in, bit rows of every direction out.
+//!
+//! # Theory
+//! [WMP] Algorithm 1 voxelizes the scene once per direction with depth peeling along three axes; Algorithm 5 rotates the
+//! voxels of one voxelization into all others.
+//!
+//! # Differences from the paper
+//! [`RowsFrom::Peel`] and [`RowsFrom::Rotate`] are the paper's two ways, in integers. [`RowsFrom::Points`] rotates a
+//! dense set of surface points ([`crate::points`]): as cheap as the second, and measured nearer to exact rays than
+//! either (`bakes/REPORT.md`).
+//!
+//! # Practice
+//! Directions are independent. A block of them (4 MiB of rows) is voxelized and compressed by one thread; blocks are
+//! written in order, wave by wave, so that memory does not grow with the number of directions.
+
+use crate::bake::{BakeError, Progress};
+use crate::points::{coarse_boxes, surface_points, voxel_centers};
+use crate::triangles::{Cutouts, LatticeTriangles};
+use manyview_cache::archive::{ArchiveWriter, CompressedChunk, MAX_CHUNK_BYTES};
+use manyview_shaders::device::{VoxelDevice, grid_point};
+use manyview_shaders::directions::{
+    DirectionFrame, DirectionSet, Fit, ROW_RAW_BITS, RowLattice, extents_along,
+};
+use manyview_shaders::raster::{Grid, Raster, VoxelBox};
+use manyview_shaders::sections::{RowsInfo, name};
+use rayon::prelude::*;
+use std::io::{Seek, Write};
+
+/// How rows are voxelized.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub enum RowsFrom {
+    /// Every direction from the triangles, along three axes ([WMP] Algorithm 1). On a GPU by depth peeling; on the CPU
+    /// in one pass, which gives the same bits.
+    Peel,
+    /// One voxelization, rotated ([WMP] Algorithm 5).
+    Rotate,
+    /// A dense set of surface points, rotated.
+    Points,
+}
+
+impl RowsFrom {
+    /// Every way, with the name that the command line uses.
+    pub const ALL: [(RowsFrom, &'static str); 3] =
+        [(RowsFrom::Peel, "peel"), (RowsFrom::Rotate, "rotate"), (RowsFrom::Points, "points")];
+}
+
+impl std::fmt::Display for RowsFrom {
+    fn fmt(&self, f: &mut std::fmt::Formatter<'_>) -> std::fmt::Result {
+        f.pad(Self::ALL.iter().find(|(way, _)| way == self).expect("all ways are listed").1)
+    }
+}
+
+/// What rows to make.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub struct RowsOptions {
+    /// log2 of voxels a side: 5, 6, 7 or 8.
+    pub bits: u32,
+    /// The sampled directions.
+    pub directions: DirectionSet,
+    /// How each direction's grid lies around the scene.
+    pub fit: Fit,
+    /// How rows are voxelized.
+    pub from: RowsFrom,
+}
+
+/// A point is kept per cell of a quarter of a voxel's edge.
+const POINT_BITS_ABOVE_VOXELS: u32 = 2;
+
+/// Everything that the blocks of rows are made from.
+pub struct RowsPlan<'a> {
+    options: RowsOptions,
+    lattice: RowLattice,
+    triangles: &'a LatticeTriangles,
+    cutouts: &'a Cutouts,
+    points: Vec<[i16; 3]>,
+    soa: Points,
+    /// One frame per direction.
+    pub frames: Vec<DirectionFrame>,
+}
+
+/// Points coordinate by coordinate, as the vectorized kernel reads them.
+#[derive(Default)]
+struct Points {
+    x: Vec<i16>,
+    y: Vec<i16>,
+    z: Vec<i16>,
+}
+
+impl<'a> RowsPlan<'a> {
+    /// Samples the surface and fits the frames. `triangles` are in `lattice`'s coordinates.
+    pub fn new(
+        options: RowsOptions,
+        lattice: RowLattice,
+        triangles: &'a LatticeTriangles,
+        cutouts: &'a Cutouts,
+    ) -> Self {
+        let surface = surface_points(triangles, cutouts, options.bits + POINT_BITS_ABOVE_VOXELS);
+        let boxes = coarse_boxes(&surface);
+        let set = options.directions;
+        let frames: Vec<_> = (0..set.count())
+            .into_par_iter()
+            .map(|d| {
+                let extents = extents_along(set.frame(d), &lattice, &boxes);
+                DirectionFrame::new(set, d, &lattice, options.fit, extents)
+            })
+            .collect();
+        let points = match options.from {
+            RowsFrom::Peel => Vec::new(),
+            RowsFrom::Points => surface,
+            RowsFrom::Rotate => {
+                let radius = lattice.half_extent.iter().map(|h| h * h).sum::<f64>().sqrt();
+                let share = match options.fit {
+                    Fit::Cube => lattice.half_extent.map(|h| h / radius),
+                    Fit::Extent => [1.0; 3],
+                };
+                voxel_centers(triangles, cutouts, options.bits, share)
+            }
+        };
+        let soa = Points {
+            x: points.iter().map(|p| p[0]).collect(),
+            y: points.iter().map(|p| p[1]).collect(),
+            z: points.iter().map(|p| p[2]).collect(),
+        };
+        Self { options, lattice, triangles, cutouts, points, soa, frames }
+    }
+
+    /// Number of points that are rotated; 0 where triangles are voxelized.
+    pub fn point_count(&self) -> usize {
+        self.points.len()
+    }
+
+    /// The head of the rows' sections.
+    pub fn info(&self) -> RowsInfo {
+        let (set_kind, set_a, set_b) = match self.options.directions {
+            DirectionSet::LatLong { thetas, phis } => (0, thetas, phis),
+            DirectionSet::Octahedral { size } => (1, size, 0),
+        };
+        let mut info = RowsInfo {
+            bits: self.options.bits,
+            set_kind,
+            set_a,
+            set_b,
+            fit: match self.options.fit {
+                Fit::Cube => 0,
+                Fit::Extent => 1,
+            },
+            source: match self.options.from {
+                RowsFrom::Peel => 0,
+                RowsFrom::Rotate => 1,
+                RowsFrom::Points => 2,
+            },
+            directions: self.options.directions.count(),
+            block_directions: 0,
+            center: self.lattice.center,
+            half_extent: self.lattice.half_extent,
+        };
+        info.block_directions = (MAX_CHUNK_BYTES / info.direction_bytes()) as u32;
+        info
+    }
+
+    /// The rows of some directions, voxelized on the CPU; layout of `rows.bits` ([`manyview_shaders::sections`]).
+    pub fn block(&self, frames: &[DirectionFrame]) -> Vec<u32> {
+        let words = self.info().direction_bytes() / 4;
+        let mut rows = vec![0u32; words * frames.len()];
+        for (frame, out) in frames.iter().zip(rows.chunks_exact_mut(words)) {
+            match self.options.from {
+                RowsFrom::Peel => {
+                    raster_direction(frame, self.options.bits, self.triangles, self.cutouts, out)
+                }
+                RowsFrom::Rotate | RowsFrom::Points => {
+                    rotate_direction(frame, self.options.bits, &self.soa, out)
+                }
+            }
+        }
+        rows
+    }
+
+    fn block_on(&self, device: &dyn VoxelDevice, frames: &[DirectionFrame]) -> Result<Vec<u32>, BakeError> {
+        let rows = match self.options.from {
+            RowsFrom::Peel => {
+                device.raster_rows(self.options.bits, frames, &self.triangles.batch(self.cutouts), true)
+            }
+            RowsFrom::Rotate | RowsFrom::Points => {
+                device.rotate_points(self.options.bits, frames, &self.points)
+            }
+        };
+        Ok(rows?)
+    }
+
+    /// Voxelizes all directions, on `device` if there is one, and appends their `rows.bits` sections.
+    pub fn write<W: Write + Seek>(
+        &self,
+        writer: &mut ArchiveWriter<W>,
+        device: Option<&dyn VoxelDevice>,
+        zstd_level: i32,
+        progress: &dyn Progress,
+    ) -> Result<(), BakeError> {
+        let block_directions = self.info().block_directions as usize;
+        let blocks: Vec<&[DirectionFrame]> = self.frames.chunks(block_directions).collect();
+        progress.begin("rows", self.frames.len() as u64, "directions");
+        let compress = |rows: Vec<u32>| {
+            // The format is little-endian; every target that the bake supports is too.
+            CompressedChunk::compress(bytemuck::cast_slice(&rows), zstd_level)
+        };
+        let wave = 16 * rayon::current_num_threads();
+        let mut item = 0;
+        for blocks in blocks.chunks(wave) {
+            let chunks: Vec<CompressedChunk> = match device {
+                None => blocks
+                    .par_iter()
+                    .map(|frames| {
+                        if progress.cancelled() {
+                            return Err(BakeError::Cancelled);
+                        }
+                        let chunk = compress(self.block(frames));
+                        progress.advance(frames.len() as u64);
+                        Ok(chunk)
+                    })
+                    .collect::<Result<_, _>>()?,
+                Some(device) => {
+                    let mut rows = Vec::with_capacity(blocks.len());
+                    for frames in blocks {
+                        if progress.cancelled() {
+                            return Err(BakeError::Cancelled);
+                        }
+                        rows.push(self.block_on(device, frames)?);
+                        progress.advance(frames.len() as u64);
+                    }
+                    rows.into_par_iter().map(compress).collect()
+                }
+            };
+            for chunk in chunks {
+                writer.begin_section(name::ROWS_BITS, item)?;
+                writer.append(&chunk)?;
+                item += 1;
+            }
+        }
+        Ok(())
+    }
+}
+
+/// Points whose bits are found together before they are set.
+const BATCH: usize = 512;
+
+fn rotate_direction(frame: &DirectionFrame, bits: u32, points: &Points, rows: &mut [u32]) {
+    let mut bit_indices = [0u32; BATCH];
+    for ((x, y), z) in points.x.chunks(BATCH).zip(points.y.chunks(BATCH)).zip(points.z.chunks(BATCH)) {
+        let found = &mut bit_indices[..x.len()];
+        find_bits(frame, bits, x, y, z, found);
+        for &bit in &*found {
+            rows[(bit >> 5) as usize] |= 1 << (bit & 31);
+        }
+    }
+}
+
+/// The bit of each point in a direction's rows: [`DirectionFrame::voxel`], eight points at a time where the
+/// processor can.
+fn find_bits(frame: &DirectionFrame, bits: u32, x: &[i16], y: &[i16], z: &[i16], found: &mut [u32]) {
+    #[cfg(target_arch = "x86_64")]
+    {
+        if std::arch::is_x86_feature_detected!("avx2") {
+            #[target_feature(enable = "avx2")]
+            fn with_avx2(
+                frame: &DirectionFrame,
+                bits: u32,
+                x: &[i16],
+                y: &[i16],
+                z: &[i16],
+                found: &mut [u32],
+            ) {
+                find_bits_portable(frame, bits, x, y, z, found);
+            }
+            #[allow(
+                unsafe_code,
+                reason = "calling a function compiled for AVX2; measured twice as fast as SSE2"
+            )]
+            // SAFETY: AVX2 was detected just above. Tested: `every_kernel_sets_the_same_bits`.
+            unsafe {
+                with_avx2(frame, bits, x, y, z, found);
+            }
+            return;
+        }
+    }
+    find_bits_portable(frame, bits, x, y, z, found);
+}
+
+#[inline(always)]
+fn find_bits_portable(frame: &DirectionFrame, bits: u32, x: &[i16], y: &[i16], z: &[i16], found: &mut [u32]) {
+    let shift = ROW_RAW_BITS - bits;
+    let m = frame.row_from_lattice;
+    let n = found.len();
+    let (x, y, z) = (&x[..n], &y[..n], &z[..n]);
+    for i in 0..n {
+        let p = [i32::from(x[i]), i32::from(y[i]), i32::from(z[i])];
+        let voxel = |a: usize| {
+            let raw = m[a][0] * p[0] + m[a][1] * p[1] + m[a][2] * p[2] + frame.offset[a];
+            raw.clamp(0, (1 << ROW_RAW_BITS) - 1) as u32 >> shift
+        };
+        found[i] = (voxel(1) << bits | voxel(0)) << bits | voxel(2);
+    }
+}
+
+fn raster_direction(
+    frame: &DirectionFrame,
+    bits: u32,
+    triangles: &LatticeTriangles,
+    cutouts: &Cutouts,
+    rows: &mut [u32],
+) {
+    let grid = Grid::new(bits);
+    let clip = VoxelBox::whole(grid);
+    let mut set = |[u, v, w]: [i32; 3]| {
+        let bit = ((v << bits | u) << bits | w) as u32;
+        rows[(bit >> 5) as usize] |= 1 << (bit & 31);
+    };
+    for (index, triangle) in triangles.triangles.iter().enumerate() {
+        let triangle = triangle.map(|p| grid_point(frame, grid, p));
+        let mask = triangles.mask(cutouts, index);
+        for axis in 0..3 {
+            let Some(raster) = Raster::new(grid, &triangle, axis) else { continue };
+            match mask {
+                None => raster.voxels(&clip, &mut set),
+                Some(mask) => raster.fragments(&clip, |f| {
+                    if mask.passes(&cutouts.planes, f.barycentric) {
+                        set(f.voxel);
+                    }
+                }),
+            }
+        }
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::triangles::TriangleRef;
+
+    fn scattered(n: usize) -> LatticeTriangles {
+        let mut state = 12345u32;
+        let mut random = |range: i32| {
+            state = state.wrapping_mul(1_664_525).wrapping_add(1_013_904_223);
+            ((i64::from(state) * i64::from(range)) >> 32) as i32
+        };
+        let mut all = LatticeTriangles::default();
+        for _ in 0..n {
+            let center = [0; 3].map(|_: i32| random(30000) - 15000);
+            all.triangles.push([0; 3].map(|_: i32| center.map(|c| (c + random(2700) - 1350) as i16)));
+            all.sources.push(TriangleRef { instance: 0, triangle: 0 });
+        }
+        all
+    }
+
+    fn plan<'a>(from: RowsFrom, triangles: &'a LatticeTriangles, cutouts: &'a Cutouts) -> RowsPlan<'a> {
+        let lattice = RowLattice::new([-3.0, 0.0, -5.0], [3.0, 4.0, 5.0]);
+        let directions = DirectionSet::LatLong { thetas: 4, phis: 5 };
+        RowsPlan::new(
+            RowsOptions { bits: 5, directions, fit: Fit::Extent, from },
+            lattice,
+            triangles,
+            cutouts,
+        )
+    }
+
+    #[test]
+    fn every_kernel_sets_the_same_bits() {
+        let (triangles, none) = (scattered(200), Cutouts::default());
+        let plan = plan(RowsFrom::Points, &triangles, &none);
+        let fast = plan.block(&plan.frames);
+        let mut plain = vec![0u32; fast.len()];
+        for (d, frame) in plan.frames.iter().enumerate() {
+            for &p in &plan.points {
+                let [u, v, w] = frame.voxel(p, 5);
+                plain[d * 1024 + (v * 32 + u) as usize] |= 1 << w;
+            }
+        }
+        assert_eq!(fast, plain);
+        assert!(plan.point_count() > 1000);
+        let (x, y, z) = (&plan.soa.x[..100], &plan.soa.y[..100], &plan.soa.z[..100]);
+        let (mut a, mut b) = ([0; 100], [0; 100]);
+        find_bits(&plan.frames[3], 5, x, y, z, &mut a);
+        find_bits_portable(&plan.frames[3], 5, x, y, z, &mut b);
+        assert_eq!(a, b);
+    }
+
+    #[test]
+    fn points_miss_little_of_what_the_raster_sets() {
+        let (triangles, none) = (scattered(200), Cutouts::default());
+        let raster = plan(RowsFrom::Peel, &triangles, &none);
+        let points = plan(RowsFrom::Points, &triangles, &none);
+        let (a, b) = (raster.block(&raster.frames), points.block(&points.frames));
+        let count = |w: &mut dyn Iterator<Item = u32>| w.map(|w| u64::from(w.count_ones())).sum::<u64>();
+        let missed = count(&mut a.iter().zip(&b).map(|(a, b)| a & !b));
+        let set = count(&mut a.iter().copied());
+        assert!(missed * 20 < set, "{missed} of {set}");
+    }
+
+    #[test]
+    fn a_wall_across_the_rows_is_hit_in_every_row() {
+        // A square through the middle, facing +Y; direction 0 of a latitude-longitude set runs along +Y.
+        let mut wall = LatticeTriangles::default();
+        let c = |x: i16, z: i16| [x, 0, z];
+        for t in [
+            [c(-16384, -16384), c(16384, -16384), c(16384, 16384)],
+            [c(-16384, -16384), c(16384, 16384), c(-16384, 16384)],
+        ] {
+            wall.triangles.push(t);
+            wall.sources.push(TriangleRef { instance: 0, triangle: 0 });
+        }
+        let none = Cutouts::default();
+        for from in [RowsFrom::Peel, RowsFrom::Rotate, RowsFrom::Points] {
+            let plan = plan(from, &wall, &none);
+            let rows = plan.block(&plan.frames[..1]);
+            let hit = rows.iter().filter(|&&row| row != 0).count();
+            assert!(hit >= 30 * 30, "{from}: {hit} of 1024 rows");
+            assert!(rows.iter().all(|row| row.count_ones() <= 1), "{from}: the wall is one voxel thick");
+        }
+    }
+}
