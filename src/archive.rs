@@ -16,8 +16,8 @@ use manyview_shaders::directions::{DirectionFrame, DirectionSet, RowLattice};
 use manyview_shaders::sections::{Light, RowsInfo, SceneInfo, SvoInfo, name};
 use manyview_shaders::svo::{Svo, SvoLevel};
 
-pub use error::LoadError;
 use error::Broken;
+pub use error::LoadError;
 
 /// What one load may take unless the caller says otherwise.
 const DEFAULT_MEMORY_LIMIT_BYTES: u64 = 16 << 30;
@@ -275,7 +275,12 @@ impl Archive {
         if needed_bytes <= limit_bytes {
             return Ok(());
         }
-        Err(LoadError::OverBudget { archive: self.name().to_owned(), what: what(), needed_bytes, limit_bytes })
+        Err(LoadError::OverBudget {
+            archive: self.name().to_owned(),
+            what: what(),
+            needed_bytes,
+            limit_bytes,
+        })
     }
 }
 

@@ -56,7 +56,8 @@ mod tests {
         let mut file = Vec::new();
         write_header::<i32>(&mut file, &[2, 3]).unwrap();
         write_elements(&mut file, &[1, 2, 3, 4, 5, -1]).unwrap();
-        let mut expected = b"\x93NUMPY\x01\x00v\x00{'descr': '<i4', 'fortran_order': False, 'shape': (2, 3), }".to_vec();
+        let mut expected =
+            b"\x93NUMPY\x01\x00v\x00{'descr': '<i4', 'fortran_order': False, 'shape': (2, 3), }".to_vec();
         expected.resize(127, b' ');
         expected.push(b'\n');
         for value in [1i32, 2, 3, 4, 5, -1] {

@@ -59,12 +59,7 @@ pub(super) fn check_svo(container: &Container, info: &SvoInfo) -> Result<Vec<u64
             (name::SVO_EMISSIVE, emitting * 4),
         ] {
             let section = format!("{kind}[{level}]");
-            Broken::unless_equal(
-                section,
-                "bytes for the nodes of the level",
-                expected,
-                bytes(kind, level),
-            )?;
+            Broken::unless_equal(section, "bytes for the nodes of the level", expected, bytes(kind, level))?;
         }
         nodes_of.push(nodes);
     }

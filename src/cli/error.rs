@@ -93,7 +93,10 @@ impl From<LoadError> for CliError {
             && let ArchiveErrorKind::Read { source } = container.kind()
             && source.kind() == std::io::ErrorKind::NotFound
         {
-            let message = format!("{}: there is no such file; name an archive that `manyview bake` made", container.archive());
+            let message = format!(
+                "{}: there is no such file; name an archive that `manyview bake` made",
+                container.archive()
+            );
             return Self::bad_input(message);
         }
         Self::new(exit, error)

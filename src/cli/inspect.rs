@@ -78,9 +78,8 @@ fn json(archive: &Archive) -> Value {
     let svo = archive.svo_info();
     let svo_sizes = group(archive, "svo.");
     let container = archive.container();
-    let ratio = |sizes: Sizes| {
-        (sizes.stored_bytes > 0).then(|| sizes.raw_bytes as f64 / sizes.stored_bytes as f64)
-    };
+    let ratio =
+        |sizes: Sizes| (sizes.stored_bytes > 0).then(|| sizes.raw_bytes as f64 / sizes.stored_bytes as f64);
     let all = sizes(archive, |_| true);
     let levels: Vec<Value> = (0..=svo.levels)
         .map(|level| {

@@ -1,5 +1,6 @@
 //! The commands: each parses its options, calls the library, and prints. Results go to stdout, all else to stderr.
 
+mod camera_file;
 mod cancel;
 mod diff;
 mod error;
@@ -14,7 +15,7 @@ use std::process::ExitCode;
 
 use clap::{Parser, Subcommand, ValueEnum};
 
-use error::{CliError, Exit};
+use error::Exit;
 
 /// Bakes 3D scenes for thousands to a million lights and views, and looks into bakes.
 #[derive(Debug, Parser)]
@@ -71,7 +72,9 @@ pub(crate) fn main() -> ExitCode {
         }
         // The panic's message was printed when it began.
         Err(_) => {
-            eprintln!("error: this is a bug in manyview; please report it with the command and the lines above");
+            eprintln!(
+                "error: this is a bug in manyview; please report it with the command and the lines above"
+            );
             Exit::Internal.into()
         }
     }

@@ -9,9 +9,10 @@ use super::error::{CliError, Exit};
 pub(crate) fn print(text: &str) -> Result<(), CliError> {
     let mut stdout = std::io::stdout().lock();
     match stdout.write_all(text.as_bytes()).and_then(|()| stdout.flush()) {
-        Err(error) if error.kind() != ErrorKind::BrokenPipe => {
-            Err(CliError::new(Exit::BadInput, anyhow::anyhow!("cannot write to the standard output: {error}")))
-        }
+        Err(error) if error.kind() != ErrorKind::BrokenPipe => Err(CliError::new(
+            Exit::BadInput,
+            anyhow::anyhow!("cannot write to the standard output: {error}"),
+        )),
         _ => Ok(()),
     }
 }
@@ -26,7 +27,7 @@ pub(crate) fn count(number: u64) -> String {
     let digits = number.to_string();
     let mut text = String::with_capacity(digits.len() * 4 / 3);
     for (i, digit) in digits.chars().enumerate() {
-        if i > 0 && (digits.len() - i) % 3 == 0 {
+        if i > 0 && (digits.len() - i).is_multiple_of(3) {
             text.push(',');
         }
         text.push(digit);
@@ -67,7 +68,11 @@ pub(crate) fn length(metres: f64) -> String {
 
 /// How many times smaller a size became.
 pub(crate) fn ratio(raw_bytes: u64, stored_bytes: u64) -> String {
-    if stored_bytes == 0 { "–".to_owned() } else { format!("{:.2}×", raw_bytes as f64 / stored_bytes as f64) }
+    if stored_bytes == 0 {
+        "–".to_owned()
+    } else {
+        format!("{:.2}×", raw_bytes as f64 / stored_bytes as f64)
+    }
 }
 
 /// A table with aligned columns: the first to the left, the others to the right. The first row is the head.
@@ -91,7 +96,12 @@ impl Table {
     pub(crate) fn render(&self) -> String {
         let columns = self.rows.iter().map(Vec::len).max().unwrap_or(0);
         let width = |column: usize| {
-            self.rows.iter().filter_map(|row| row.get(column)).map(|cell| cell.chars().count()).max().unwrap_or(0)
+            self.rows
+                .iter()
+                .filter_map(|row| row.get(column))
+                .map(|cell| cell.chars().count())
+                .max()
+                .unwrap_or(0)
         };
         let widths: Vec<_> = (0..columns).map(width).collect();
         let mut text = String::new();
@@ -99,7 +109,11 @@ impl Table {
             let mut line = String::new();
             for (column, cell) in row.iter().enumerate() {
                 let width = widths[column];
-                _ = if column == 0 { write!(line, "  {cell:<width$}") } else { write!(line, "  {cell:>width$}") };
+                _ = if column == 0 {
+                    write!(line, "  {cell:<width$}")
+                } else {
+                    write!(line, "  {cell:>width$}")
+                };
             }
             text.push_str(line.trim_end());
             text.push('\n');

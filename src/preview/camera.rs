@@ -57,7 +57,8 @@ impl Camera {
         let (right, up) = camera.axes();
         let tangent = (fov_degrees.to_radians() * 0.5).tan();
         let distance = (0..8).map(|corner| {
-            let corner = DVec3::from([0, 1, 2].map(|i| if corner >> i & 1 == 1 { max[i] } else { min[i] })) - center;
+            let corner =
+                DVec3::from([0, 1, 2].map(|i| if corner >> i & 1 == 1 { max[i] } else { min[i] })) - center;
             // The corner is seen if the camera stands this far from the centre.
             let sideways = corner.dot(right).abs() / aspect;
             sideways.max(corner.dot(up).abs()) / tangent * 1.02 + corner.dot(from)

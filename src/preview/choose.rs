@@ -56,8 +56,7 @@ pub fn choose_camera(scene: &Scene, bounds: [DVec3; 2], aspect: f64, choice: Cam
         CameraChoice::Auto => rooms >= ROOM_SHARE * probes.len() as f64 && rooms >= 4.0,
     };
     let candidates = if inside { inside_candidates(probes) } else { Vec::new() };
-    let candidates =
-        if candidates.is_empty() { outside_candidates(bounds, aspect) } else { candidates };
+    let candidates = if candidates.is_empty() { outside_candidates(bounds, aspect) } else { candidates };
     let score = |&(camera, bonus): &(Camera, f64)| score(scene, &camera, aspect) * bonus;
     let scores: Vec<f64> = candidates.par_iter().map(score).collect();
     // The first of equals, whatever the threads did.

@@ -49,12 +49,7 @@ pub fn write_png(file: &mut impl Write, picture: &Picture) -> io::Result<()> {
     let encoder =
         png::PngEncoder::new_with_quality(file, png::CompressionType::Default, png::FilterType::Adaptive);
     encoder
-        .write_image(
-            picture.display.as_flattened(),
-            picture.width,
-            picture.height,
-            ExtendedColorType::Rgb8,
-        )
+        .write_image(picture.display.as_flattened(), picture.width, picture.height, ExtendedColorType::Rgb8)
         .map_err(io::Error::other)
 }
 

@@ -48,8 +48,13 @@ pub(super) fn linear(color: [u8; 3]) -> [f32; 3] {
 /// A colour from dark blue over red to pale yellow, for `x` from 0 to 1: brightness grows with `x`, so that it reads
 /// without colours too.
 pub(super) fn heat(x: f32) -> [f32; 3] {
-    const STOPS: [[f32; 3]; 5] =
-        [[0.005, 0.003, 0.03], [0.10, 0.01, 0.19], [0.50, 0.04, 0.10], [0.95, 0.28, 0.01], [0.98, 0.95, 0.45]];
+    const STOPS: [[f32; 3]; 5] = [
+        [0.005, 0.003, 0.03],
+        [0.10, 0.01, 0.19],
+        [0.50, 0.04, 0.10],
+        [0.95, 0.28, 0.01],
+        [0.98, 0.95, 0.45],
+    ];
     let x = if x.is_nan() { 0.0 } else { x.clamp(0.0, 1.0) } * 4.0;
     let at = (x as usize).min(3);
     let blend = x - at as f32;

@@ -26,10 +26,8 @@ pub fn picture_rows(rows: &[u32], bits: u32) -> Picture {
             let start = (v * side + u) as usize * row_words;
             let row = &rows[start..start + row_words];
             let count: u32 = row.iter().map(|word| word.count_ones()).sum();
-            let depth = row
-                .iter()
-                .position(|&word| word != 0)
-                .map(|at| at as u32 * 32 + row[at].trailing_zeros());
+            let depth =
+                row.iter().position(|&word| word != 0).map(|at| at as u32 * 32 + row[at].trailing_zeros());
             let near = match depth {
                 Some(depth) => {
                     let near = 1.0 - depth as f32 / side as f32;

@@ -47,7 +47,14 @@ impl Light {
     }
 
     /// Light that arrives at a hit, for a white surface. `random` are four numbers in 0 … 1.
-    pub(super) fn arriving(&self, scene: &Scene, ray: &Ray, hit: &Hit, normal: DVec3, random: [f64; 4]) -> Vec3 {
+    pub(super) fn arriving(
+        &self,
+        scene: &Scene,
+        ray: &Ray,
+        hit: &Hit,
+        normal: DVec3,
+        random: [f64; 4],
+    ) -> Vec3 {
         let voxel = scene.octree().voxel();
         let cell = voxel * f64::from(1u32 << (scene.octree().depth() - hit.level));
         // Out of the cell that was hit and its neighbours in the same surface.
