@@ -42,6 +42,7 @@ impl Skin {
         if joints.is_empty() {
             return Err(skin.malformed_at("joints", "must name at least one node"));
         }
+        resources.charge(joints.len() as u64 * size_of::<DMat4>() as u64, &skin.place())?;
         let mut world_from_bind = Vec::with_capacity(joints.len());
         for joint in &joints {
             resources.root.item("nodes", *joint)?;
