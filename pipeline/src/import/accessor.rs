@@ -127,7 +127,7 @@ impl<'a> Accessor<'a> {
             width,
             component: Component::parse(&object)?,
             normalized: object.boolean("normalized").unwrap_or(false),
-            view: object.index("bufferView")?,
+            view: object.reference("bufferView", &resources.root, "bufferViews")?,
             offset: object.index("byteOffset")?.unwrap_or(0),
             object,
         };

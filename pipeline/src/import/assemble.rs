@@ -65,10 +65,10 @@ impl Assembler<'_, '_> {
         let node = self.resources.root.item("nodes", index)?;
         let world_from_node = self.graph.world_from_node[index];
         self.scene.lights.extend(lights::load(self.resources, &node, world_from_node)?);
-        let Some(mesh_index) = node.index("mesh")? else { return Ok(()) };
+        let Some(mesh_index) = node.reference("mesh", &self.resources.root, "meshes")? else { return Ok(()) };
         let mesh = self.resources.root.item("meshes", mesh_index)?;
         let weights = self.weights(index, &node, mesh_index, &mesh)?;
-        if let Some(skin) = node.index("skin")? {
+        if let Some(skin) = node.reference("skin", &self.resources.root, "skins")? {
             // Joints place a skinned mesh; the node's own transform counts for nothing.
             let skin = Skin::load(self.resources, self.graph, skin)?;
             let meshes = self.load(&mesh, &weights, Some(&skin))?;
@@ -144,7 +144,9 @@ impl Assembler<'_, '_> {
         let primitives = mesh.items("primitives")?;
         self.resources.charge(primitives.len() as u64 * PRIMITIVE_BYTES, &mesh.place())?;
         for primitive in primitives {
-            let material = self.materials.get(self.resources, primitive.index("material")?)?;
+            let material = self
+                .materials
+                .get(self.resources, primitive.reference("material", &self.resources.root, "materials")?)?;
             let Some(mut loaded) =
                 geometry::load(self.resources, &primitive, material, weights, skin.is_some())?
             else {

@@ -127,7 +127,10 @@ impl<'a> Resources<'a> {
                 let read = (|| {
                     let metadata = fs_err::metadata(&path)?;
                     if !metadata.is_file() {
-                        return Err(std::io::Error::other("not a regular file"));
+                        return Err(std::io::Error::other(format!(
+                            "`{}` is no regular file",
+                            path.display()
+                        )));
                     }
                     Ok(metadata.len())
                 })();

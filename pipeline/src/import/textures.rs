@@ -90,13 +90,14 @@ impl Textures {
         reference: &Json<'_>,
     ) -> Result<(Option<u32>, UvUse), ImportError> {
         let uv = UvUse::parse(reference)?;
-        let texture = resources.root.item("textures", reference.required_index("index")?)?;
-        let webp =
-            texture.extension("EXT_texture_webp").map(|webp| webp.index("source")).transpose()?.flatten();
-        let images: Vec<usize> = webp.into_iter().chain(texture.index("source")?).collect();
-        for image in &images {
-            resources.root.item("images", *image)?;
-        }
+        let texture = resources.root.item("textures", texture_index(resources, reference)?)?;
+        let webp = texture
+            .extension("EXT_texture_webp")
+            .map(|webp| webp.reference("source", &resources.root, "images"))
+            .transpose()?
+            .flatten();
+        let images: Vec<usize> =
+            webp.into_iter().chain(texture.reference("source", &resources.root, "images")?).collect();
         if images.is_empty() {
             let extensions = texture.object("extensions")?.map(|extensions| extensions.keys().join(", "));
             let why = extensions
@@ -104,7 +105,7 @@ impl Textures {
             resources.warn(format!("{}: has {why}; the factor is used alone", texture.place()));
             return Ok((None, uv));
         }
-        let wrap = match texture.index("sampler")? {
+        let wrap = match texture.reference("sampler", &resources.root, "samplers")? {
             None => [Wrap::Repeat; 2],
             Some(sampler) => {
                 let sampler = resources.root.item("samplers", sampler)?;
@@ -160,6 +161,11 @@ impl Textures {
     }
 }
 
+fn texture_index(resources: &Resources<'_>, reference: &Json<'_>) -> Result<usize, ImportError> {
+    let index = reference.reference("index", &resources.root, "textures")?;
+    index.ok_or_else(|| reference.malformed_at("index", "is missing"))
+}
+
 fn wrap(resources: &Resources<'_>, sampler: &Json<'_>, key: &str) -> Result<Wrap, ImportError> {
     Ok(match sampler.index(key)? {
         None | Some(10497) => Wrap::Repeat,
@@ -178,16 +184,20 @@ fn prepare<'r>(
     index: usize,
 ) -> Result<Result<Cow<'r, [u8]>, String>, ImportError> {
     let image = resources.root.item("images", index)?;
-    let loaded = match (image.index("bufferView")?, image.string("uri")?) {
+    let loaded = match (image.reference("bufferView", &resources.root, "bufferViews")?, image.string("uri")?)
+    {
         (Some(view), _) => resources.view(view).map(|view| Cow::Borrowed(view.bytes)),
         (None, Some(uri)) => resources.load(&image.place_of("uri"), uri).map(Cow::Owned),
         (None, None) => Err(image.malformed("has neither uri nor bufferView")),
     };
     let bytes = match loaded {
         Ok(bytes) => bytes,
-        Err(error @ (ImportError::Unreadable { .. } | ImportError::Malformed { .. })) => {
-            return Ok(Err(error.to_string()));
+
+        // Warnings are part of the scene, so no path of this machine may be in them.
+        Err(ImportError::Unreadable { place, source, .. }) => {
+            return Ok(Err(format!("{place} cannot be read: {}", source.kind())));
         }
+        Err(ImportError::Malformed { place, rule, .. }) => return Ok(Err(format!("{place}: {rule}"))),
         Err(error) => return Err(error),
     };
     let size =
