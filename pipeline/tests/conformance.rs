@@ -81,6 +81,36 @@ fn broken_files_are_refused_or_forgiven_in_bounded_time() {
     assert!(count > 200, "{count} files only");
 }
 
+/// The same model as text and binary, plain, quantized, packed by Draco and by meshoptimizer, must fill the same space.
+#[test]
+fn variants_of_a_model_have_the_same_bounds() {
+    const TOLERANCE: f64 = 0.01;
+    let Some(folder) = shared("conformance") else { return };
+    let table = fs_err::read_to_string(folder.join("expected.tsv")).unwrap();
+    let mut first: Option<(String, glam::DVec3, glam::DVec3)> = None;
+    let mut compared = 0;
+    for file in table.lines().filter_map(|line| line.split('\t').next()) {
+        let parts: Vec<&str> = file.split('/').collect();
+        let model = match parts[..] {
+            ["khronos-sample-assets", model, ..] => model.to_owned(),
+            ["gltf-pipeline", "extensions", name, ..] if name.contains("meshopt") => "meshopt".to_owned(),
+            _ => continue,
+        };
+        let scene = import(&folder.join(file), &ImportOptions::default()).unwrap().scene;
+        let Some((low, high)) = scene.bounds() else { continue };
+        match &first {
+            Some((known, known_low, known_high)) if *known == model => {
+                let tolerance = TOLERANCE * (*known_high - *known_low).max_element();
+                let same = low.abs_diff_eq(*known_low, tolerance) && high.abs_diff_eq(*known_high, tolerance);
+                assert!(same, "{file} fills {low} to {high}, another variant {known_low} to {known_high}");
+                compared += 1;
+            }
+            _ => first = Some((model, low, high)),
+        }
+    }
+    assert!(compared > 30, "{compared} pairs only");
+}
+
 /// Damages binary files in many places: whatever comes of it, the importer returns.
 #[test]
 fn damaged_files_are_refused_or_forgiven_in_bounded_time() {
