@@ -1,4 +1,5 @@
 //! The GPU contract: what the bake writes and the runtime reads, every WGSL stage and its CPU twin. Knows no GPU API.
+pub mod cases;
 pub mod constants;
 pub mod cpu_device;
 pub mod device;

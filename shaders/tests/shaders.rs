@@ -93,10 +93,11 @@ fn structs_are_laid_out_as_in_rust() {
         for (handle, ty) in module.types.iter() {
             let (Some(name), TypeInner::Struct { members, .. }) = (&ty.name, &ty.inner) else { continue };
             let Some(known) = GPU_STRUCTS.iter().find(|s| s.name == name) else {
-                let in_buffers = module.global_variables.iter().any(|(_, g)| match module.types[g.ty].inner {
-                    TypeInner::Array { base, .. } => base == handle,
-                    _ => g.space == AddressSpace::Uniform && g.ty == handle,
-                });
+                let in_buffers =
+                    module.global_variables.iter().any(|(_, g)| match module.types[g.ty].inner {
+                        TypeInner::Array { base, .. } => base == handle,
+                        _ => g.space == AddressSpace::Uniform && g.ty == handle,
+                    });
                 assert!(!in_buffers, "{}: `{name}` is in a buffer and not in GPU_STRUCTS", stage.name);
                 continue;
             };
