@@ -3,7 +3,7 @@
 //! Without an adapter every test is reported as ignored, or as failed if `MANYVIEW_REQUIRE_GPU` is 1.
 //! `MANYVIEW_ADAPTER` chooses among adapters.
 
-use libtest_mimic::{Arguments, Failed, Trial};
+use libtest_mimic::{Arguments, Failed, Measurement, Trial};
 use manyview::gpu::{AdapterChoice, GpuContext, GpuDevice};
 use manyview_shaders::cases::{Case, Geometry, Job, Random, cases, frames, long_loops, random_triangles};
 use manyview_shaders::cpu_device::CpuDevice;
@@ -11,6 +11,7 @@ use manyview_shaders::device::{DeviceError, VoxelDevice};
 use manyview_shaders::executor::{Executor, ExecutorLimits, Recording};
 use manyview_shaders::raster::{Grid, VoxelBox};
 use std::sync::OnceLock;
+use std::time::{Duration, Instant};
 
 type Check = fn(&GpuDevice) -> Result<(), Failed>;
 
@@ -50,7 +51,64 @@ fn main() {
         ("buffers_beyond_the_limit_are_errors", buffers_beyond_the_limit_are_errors),
         ("a_destroyed_device_is_an_error", |_| a_destroyed_device_is_an_error()),
     ];
-    libtest_mimic::run(&arguments, checks.map(trial).into()).exit();
+    let mut trials = Vec::from(checks.map(trial));
+    // Ratios of times: `cargo test --test gpu_stages -- --bench`.
+    if arguments.bench {
+        trials = measured().into_iter().map(|case| measure(case, &DEVICE)).collect();
+    }
+    libtest_mimic::run(&arguments, trials).exit();
+}
+
+/// The cases whose times are compared.
+fn measured() -> Vec<Case> {
+    let mut random = Random::new(1);
+    let triangles = |random: &mut Random, min, max, spread| Geometry {
+        triangles: random_triangles(random, 100_000, min, max, spread),
+        ..Geometry::default()
+    };
+    let clip = VoxelBox { min: [512; 3], max: [640; 3] };
+    let small = triangles(&mut random, 512 * 16, 640 * 16, 40);
+    let scene = triangles(&mut random, -16384, 16384, 200);
+    let points = (0..200_000).map(|_| [0; 3].map(|_| random.range(-16384, 16384) as i16)).collect();
+    let case = |name: &str, job, geometry: &Geometry| Case {
+        name: name.to_owned(),
+        job,
+        geometry: geometry.clone(),
+    };
+    vec![
+        case("fragments_100k_triangles_128_box", Job::Fragments(Grid::new(11), clip), &small),
+        case(
+            "rotate_points_200k_64_directions",
+            Job::RotatePoints(7, frames(64)),
+            &Geometry { points, ..Geometry::default() },
+        ),
+        case("raster_rows_100k_16_directions", Job::RasterRows(7, frames(16), false), &scene),
+        case("peel_rows_100k_16_directions", Job::RasterRows(7, frames(16), true), &scene),
+    ]
+}
+
+/// Times a case on both devices and prints the ratio; the printed measurement is the GPU's.
+fn measure(case: Case, device: &'static OnceLock<Option<GpuDevice>>) -> Trial {
+    let timed = move |case: &Case, device: &dyn VoxelDevice| -> Result<(Vec<u32>, Duration), Failed> {
+        let start = Instant::now();
+        Ok((case.run(device)?, start.elapsed()))
+    };
+    Trial::bench(case.name.clone(), move |test_mode| {
+        let Some(gpu) = device.get().and_then(Option::as_ref) else { return Err("no adapter".into()) };
+        if test_mode {
+            return Ok(None);
+        }
+        // The first run makes pipelines.
+        case.run(gpu)?;
+        let (expected, cpu_time) = timed(&case, &CpuDevice)?;
+        let (found, gpu_time) = timed(&case, gpu)?;
+        if found != expected {
+            return Err("results differ".into());
+        }
+        let ratio = gpu_time.as_secs_f64() / cpu_time.as_secs_f64();
+        eprintln!("{}: GPU {gpu_time:.1?}, one CPU thread {cpu_time:.1?}: {ratio:.2} times", case.name);
+        Ok(Some(Measurement { avg: gpu_time.as_nanos() as u64, variance: 0 }))
+    })
 }
 
 /// Runs the cases whose name starts with `kind` on both devices.
