@@ -5,7 +5,7 @@ use std::path::{Path, PathBuf};
 use std::str::FromStr;
 
 use clap::ValueEnum;
-use manyview::gpu::GpuDevice;
+use manyview::gpu::{AdapterChoice, GpuDevice};
 use manyview_cache::archive::{ArchiveError, ArchiveErrorKind};
 use manyview_pipeline::bake::{BakeError, RowsFrom, VoxelsFrom};
 use manyview_pipeline::import::ImportError;
@@ -148,7 +148,9 @@ pub(crate) fn run(options: &Options) -> CliResult {
         }
         return Ok(Exit::Done);
     }
-    for output in [Some(&bake.output), options.preview.as_ref().or(recipe.preview.as_ref())].into_iter().flatten() {
+    for output in
+        [Some(&bake.output), options.preview.as_ref().or(recipe.preview.as_ref())].into_iter().flatten()
+    {
         make_recipe_folder(&recipe, output)?;
     }
     let gpu = open_device(options.backend, options.voxels_from)?;
@@ -180,7 +182,9 @@ fn plan(options: &Options, recipe: &Recipe) -> Result<Bake, CliError> {
     let source = match (&options.scene, &recipe.scene) {
         (Some(path), _) => SceneSource::File(path.clone()),
         (None, Some(source)) => source.clone(),
-        (None, None) => return Err(CliError::usage("the recipe names no scene: give one, or add `scene` to it")),
+        (None, None) => {
+            return Err(CliError::usage("the recipe names no scene: give one, or add `scene` to it"));
+        }
     };
     let output = match (&options.output, &recipe.output, &source) {
         (Some(output), ..) => output.clone(),
@@ -233,21 +237,36 @@ fn make_recipe_folder(recipe: &Recipe, output: &Path) -> Result<(), CliError> {
 /// The GPU to bake on, if any.
 fn open_device(backend: Backend, voxels_from: VoxelsFromName) -> Result<Option<GpuDevice>, CliError> {
     match backend {
-        Backend::Cpu if voxels_from == VoxelsFromName::Peel => {
-            Err(CliError::usage("--voxels-from peel runs on a GPU: use --backend gpu, or raster (same voxels)"))
-        }
+        Backend::Cpu if voxels_from == VoxelsFromName::Peel => Err(CliError::usage(
+            "--voxels-from peel runs on a GPU: use --backend gpu, or raster (same voxels)",
+        )),
         Backend::Cpu => Ok(None),
-        Backend::Auto if voxels_from == VoxelsFromName::Raster => Ok(GpuDevice::open_hardware()),
-        Backend::Auto | Backend::Gpu => GpuDevice::open().map(Some).map_err(|error| {
-            CliError::bad_input(format!("{error}; --backend cpu gives the same archive without a GPU"))
-        }),
+        Backend::Auto if voxels_from == VoxelsFromName::Raster => {
+            let gpu = GpuDevice::open(&AdapterChoice::from_env()).ok();
+            Ok(gpu.filter(|gpu| !gpu.context().is_software()))
+        }
+        Backend::Auto | Backend::Gpu => {
+            GpuDevice::open(&AdapterChoice::from_env()).map(Some).map_err(|error| {
+                CliError::bad_input(format!("{error}; --backend cpu gives the same archive without a GPU"))
+            })
+        }
     }
 }
 
-fn write_depfile(path: &Path, output: &Path, summary: &Summary, recipe: Option<&Path>) -> Result<(), CliError> {
+fn write_depfile(
+    path: &Path,
+    output: &Path,
+    summary: &Summary,
+    recipe: Option<&Path>,
+) -> Result<(), CliError> {
     // make's escapes, which ninja reads too.
     let escaped = |path: &Path| {
-        path.display().to_string().replace('\\', "/").replace('$', "$$").replace('#', "\\#").replace(' ', "\\ ")
+        path.display()
+            .to_string()
+            .replace('\\', "/")
+            .replace('$', "$$")
+            .replace('#', "\\#")
+            .replace(' ', "\\ ")
     };
     let mut rule = format!("{}:", escaped(output));
     for file in summary.files.iter().map(PathBuf::as_path).chain(recipe) {
@@ -261,7 +280,13 @@ fn write_depfile(path: &Path, output: &Path, summary: &Summary, recipe: Option<&
     Ok(())
 }
 
-fn report(format: Format, bake: &Bake, summary: &Summary, backend: &str, seconds: f64) -> Result<(), CliError> {
+fn report(
+    format: Format,
+    bake: &Bake,
+    summary: &Summary,
+    backend: &str,
+    seconds: f64,
+) -> Result<(), CliError> {
     let Summary { report, archive, .. } = summary;
     match format {
         Format::Json => print_json(&json!({
@@ -283,7 +308,8 @@ fn report(format: Format, bake: &Bake, summary: &Summary, backend: &str, seconds
             "peak_memory_bytes": peak_memory_bytes(),
         })),
         Format::Text => {
-            let peak = peak_memory_bytes().map_or(String::new(), |peak| format!(", peak memory {}", bytes(peak)));
+            let peak =
+                peak_memory_bytes().map_or(String::new(), |peak| format!(", peak memory {}", bytes(peak)));
             print(&format!(
                 "{}: {} triangles, {} leaves, {} in {seconds:.1} s on {backend}{peak}\n",
                 bake.output.display(),

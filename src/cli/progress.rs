@@ -111,9 +111,13 @@ impl bake::Progress for Progress {
         }
         step.told = Instant::now();
         if self.style == Style::Json {
-            eprintln!("{}", json!({"event": "progress", "step": step.name, "done": step.done, "total": step.total}));
+            eprintln!(
+                "{}",
+                json!({"event": "progress", "step": step.name, "done": step.done, "total": step.total})
+            );
         } else {
-            let left = step.begun.elapsed().as_secs_f64() / step.done as f64 * (step.total - step.done) as f64;
+            let left =
+                step.begun.elapsed().as_secs_f64() / step.done as f64 * (step.total - step.done) as f64;
             let (done, total) = (count(step.done), count(step.total));
             eprintln!("{:>12}  {done}/{total} {}, {left:.0} s left", step.name, step.unit);
         }

@@ -34,7 +34,8 @@ pub(crate) fn run(options: &Options) -> CliResult {
     let file = AtomicFile::create(&options.output)?;
     eprintln!("{:>12}  {} of {}", "generating", options.kind, counted(options.triangles, "triangle"));
     let scene = generate(options.kind, options.triangles, options.seed);
-    let fail = |error: &dyn std::fmt::Display| CliError::bad_input(format!("{}: {error}", options.output.display()));
+    let fail =
+        |error: &dyn std::fmt::Display| CliError::bad_input(format!("{}: {error}", options.output.display()));
     let mut out = BufWriter::with_capacity(1 << 20, file);
     write_glb(&scene, &mut out).map_err(|e| fail(&e))?;
     out.flush().map_err(|e| fail(&e))?;
