@@ -5,7 +5,7 @@ use std::path::PathBuf;
 use std::str::FromStr;
 
 use manyview_cache::atomic::AtomicFile;
-use manyview_pipeline::generate::{MIN_TRIANGLES, SceneKind, generate};
+use manyview_pipeline::generate::{MAX_TRIANGLES, MIN_TRIANGLES, SceneKind, generate};
 use manyview_pipeline::glb::write_glb;
 
 use super::error::{CliError, CliResult, Exit};
@@ -19,7 +19,7 @@ pub(crate) struct Options {
     kind: SceneKind,
     /// About how many triangles, instances counted
     #[arg(long, value_name = "N", default_value_t = 100_000,
-          value_parser = clap::value_parser!(u64).range(MIN_TRIANGLES..=1_000_000_000))]
+          value_parser = clap::value_parser!(u64).range(MIN_TRIANGLES..=MAX_TRIANGLES))]
     triangles: u64,
     /// Another seed gives another scene of the same kind
     #[arg(long, value_name = "S", default_value_t = 1)]
