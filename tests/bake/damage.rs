@@ -238,7 +238,7 @@ fn options_out_of_range_are_usage_errors() {
         (&["--rows-from", "guess"], "points, peel or rotate"),
         (&["--grid", "sphere"], "extent or cube"),
         (&["--jobs", "0"], "--jobs"),
-        (&["--max-memory", "much"], "no size"),
+        (&["--max-memory", "8 furlongs"], "use B, KiB, MiB, GiB or TiB"),
         (&["--time", "nan"], "finite"),
         (&["--voxels-from", "peel", "--backend", "cpu"], "--backend gpu"),
     ];

@@ -161,7 +161,7 @@ fn json_is_json_on_both_streams() {
     assert_eq!((&svo["leaves"], &svo["nodes"]), (&summary["leaves"], &summary["nodes"]));
 
     // Errors are events too.
-    let run = work.run(["bake", "gone.glb", "--format", "json"]);
+    let run = work.run(["bake", "gone.glb", "--format", "json", "--backend", "cpu"]);
     assert_eq!((run.code, run.stdout.as_str()), (Some(3), ""));
     let error = parse(run.stderr.lines().last().unwrap());
     assert_eq!((&error["event"], &error["exit_code"]), (&json!("error"), &json!(3)));
@@ -216,4 +216,51 @@ fn a_bake_can_draw_its_picture() {
     work.write_scene("a.glb", &generate(SceneKind::Town, 1500, 1));
     work.bake("a.glb", "a.mvb", &["--preview", "a.png"]);
     assert_eq!(work.read("a.png")[1..4], *b"PNG");
+}
+
+#[test]
+fn verify_against_the_scene_names_what_differs() {
+    let work = Workplace::new();
+    let scene = generate(SceneKind::Town, 1500, 1);
+    work.write_scene("a.glb", &scene);
+    work.write("r.toml", b"scene = \"a.glb\"\ncube = { origin = [-500, -200, -500.5], size = 1000 }");
+    for settings in [
+        vec!["--rows-from", "points"],
+        vec!["--rows-from", "peel", "--grid", "cube"],
+        vec!["--rows-from", "rotate", "--recipe", "r.toml"],
+        vec!["--rows-from", "points", "--recipe", "r.toml"],
+    ] {
+        work.bake("a.glb", "a.mvb", &settings);
+        let run = work.run(["verify", "a.mvb", "--against", "a.glb"]).succeeded();
+        assert!(run.stdout.contains("same as a new bake of a.glb"), "{settings:?}: {}", run.stdout);
+    }
+    work.run(["bake", "a.glb", "-o", "no rows.mvb", "--levels", "5", "--rows", "0", "--backend", "cpu"])
+        .succeeded();
+    work.run(["verify", "no rows.mvb", "--against", "a.glb"]).succeeded();
+
+    // Another colour, the same shape.
+    work.bake("a.glb", "a.mvb", &[]);
+    let mut painted = scene.clone();
+    for material in &mut painted.materials {
+        material.base_color.x = 1.0 - material.base_color.x;
+    }
+    work.write_scene("painted.glb", &painted);
+    let run = work.run(["verify", "a.mvb", "--against", "painted.glb", "--format", "json"]);
+    assert_eq!(run.code, Some(1), "{}", run.stderr);
+    let found = parse(&run.stdout);
+    assert_eq!((&found["sound"], &found["against"]["same"]), (&json!(true), &json!(false)));
+    let names: Vec<&String> = found["against"]["differing"].as_object().unwrap().keys().collect();
+    assert_eq!(names, ["svo.colors"]);
+    events(&run.stderr);
+
+    // A scene that has outgrown the archive's cube.
+    let mut outgrown = scene;
+    outgrown.instances[0].world_from_object.w_axis.x += 1000.0;
+    work.write_scene("outgrown.glb", &outgrown);
+    let run = work.run(["verify", "a.mvb", "--against", "outgrown.glb"]);
+    assert_eq!(run.code, Some(1), "{}", run.stderr);
+    assert!(run.stdout.contains("differs") && run.stdout.contains("svo.info"), "{}", run.stdout);
+
+    assert_eq!(work.run(["verify", "a.mvb", "--against", "gone.glb"]).code, Some(3));
+    assert_eq!(work.run(["verify", "a.mvb", "--time", "1"]).code, Some(2), "--time needs --against");
 }
