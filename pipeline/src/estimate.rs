@@ -3,6 +3,7 @@
 use crate::bake::BakeOptions;
 use crate::cube::SceneCube;
 use crate::scene::{Instance, Scene};
+use manyview_cache::archive::MAX_CHUNK_BYTES;
 use manyview_shaders::device::PackedFragment;
 use manyview_shaders::raster::Grid;
 use rayon::prelude::*;
@@ -80,11 +81,25 @@ impl Estimate {
         // 26 bytes a snapped triangle. A triangle is in the bricks of 64³ along its length, 8 bytes each, twice while
         // they are sorted. 11 bytes a leaf and a third as much for inner nodes, twice while bricks are joined; the
         // fragments of a brick per thread are small.
-        let brick_entries = triangles.saturating_add(whole(surface.lengths * 3.0 / 64.0 + surface.voxels / 1024.0));
+        let brick_entries =
+            triangles.saturating_add(whole(surface.lengths * 3.0 / 64.0 + surface.voxels / 1024.0));
         let octree_bytes = leaves * 15 * 2 + 64 * size_of::<PackedFragment>() as u64 * 4096;
-        let rows_bytes = options.rows.map_or(0, |r| (1u64 << (2 * (r.bits + 2))) * 6 * 40);
-        let peak_bytes =
-            scene_bytes + triangles * (26 + 24) + brick_entries * 16 + octree_bytes.max(rows_bytes + leaves * 15) + (64 << 20);
+        // Rows are made from points in cells of a quarter voxel: those of the bounds' faces or of the surface, 40 bytes
+        // each while they are sorted.
+        let rows_bytes = options.rows.map_or(0, |r| {
+            let cells = 1u64 << (2 * (r.bits + 2));
+            let of_surface = surface.voxels * cells as f64 / f64::from(grid.size()).powi(2);
+            whole(of_surface).max(6 * cells).min(1 << (3 * (r.bits + 2))) * 40
+        });
+        // Every thread has a block of rows and its compressed form, and waits for some blocks before its own.
+        let threads = rayon::current_num_threads() as u64;
+        let blocks_bytes = rows_raw_bytes.min(threads * 6 * MAX_CHUNK_BYTES as u64);
+        let peak_bytes = scene_bytes
+            + triangles * (26 + 24)
+            + brick_entries * 16
+            + octree_bytes.max(rows_bytes + leaves * 15)
+            + blocks_bytes
+            + (32 << 20);
         Self { triangles, leaves, peak_bytes, rows_raw_bytes }
     }
 }

@@ -62,9 +62,8 @@ impl Bricks {
             })
             .collect();
         entries.par_sort_unstable();
-        let mut starts: Vec<usize> = (0..entries.len())
-            .filter(|&i| i == 0 || entries[i - 1] >> 32 != entries[i] >> 32)
-            .collect();
+        let mut starts: Vec<usize> =
+            (0..entries.len()).filter(|&i| i == 0 || entries[i - 1] >> 32 != entries[i] >> 32).collect();
         starts.push(entries.len());
         Self { grid, brick_bits, entries, starts }
     }
@@ -338,6 +337,7 @@ pub fn cell_of_morton(code: u32) -> [u32; 3] {
 #[cfg(test)]
 mod tests {
     use super::*;
+    use manyview_shaders::raster::fragments_basic;
 
     #[test]
     fn morton_codes_round_trip() {
@@ -349,32 +349,40 @@ mod tests {
 
     #[test]
     fn bricks_hold_every_triangle_that_has_fragments_there() {
-        let grid = Grid::new(6);
-        let mut state = 7u32;
-        let mut random = || {
-            state = state.wrapping_mul(1_664_525).wrapping_add(1_013_904_223);
-            (state >> 8) as i16 & (grid.lattice_size() - 1) as i16
-        };
-        let triangles: Vec<[[i16; 3]; 3]> =
-            (0..50).map(|_| [0; 3].map(|_: i32| [0; 3].map(|_: i32| random()))).collect();
-        let bricks = Bricks::new(grid, 3, &triangles);
-        let mut found = 0;
-        for i in 0..bricks.len() {
-            let (code, clip, members) = bricks.brick(i);
-            assert_eq!(cell_of_morton(code).map(|c| c as i32 * 8), clip.min);
-            for t in members {
-                let t = triangles[t as usize].map(|v| v.map(i32::from));
-                found += manyview_shaders::raster::fragments_basic(grid, &t, &clip).len();
-            }
-        }
+        let grid = Grid::new(5);
         let whole = VoxelBox::whole(grid);
-        let expected: usize = triangles
-            .iter()
-            .map(|t| {
-                manyview_shaders::raster::fragments_basic(grid, &t.map(|v| v.map(i32::from)), &whole).len()
-            })
-            .sum();
-        assert_eq!(found, expected);
+        let mut state = 7u32;
+        let mut random = |range: i32| {
+            state = state.wrapping_mul(1_664_525).wrapping_add(1_013_904_223);
+            ((i64::from(state) * i64::from(range)) >> 32) as i32
+        };
+        let size = grid.lattice_size();
+        let mut triangles: Vec<[[i16; 3]; 3]> = Vec::new();
+        for _ in 0..60 {
+            // A triangle of any shape, a needle along a line, and a small one that may be flat along an axis.
+            let corners = [0; 3].map(|_: i32| [0; 3].map(|_: i32| random(size) as i16));
+            triangles.push(corners);
+            let near = corners[1].map(|c| (i32::from(c) + random(500) - 250).clamp(0, size - 1) as i16);
+            triangles.push([corners[0], corners[1], near]);
+            let spread = [random(700) + 1, random(700) + 1, 1];
+            triangles.push([0; 3].map(|_: i32| {
+                [0, 1, 2].map(|i| (i32::from(corners[2][i]) + random(spread[i])).min(size - 1) as i16)
+            }));
+        }
+        let fragments = |triangle: [[i16; 3]; 3], clip: &VoxelBox| {
+            fragments_basic(grid, &triangle.map(|v| v.map(i32::from)), clip).len()
+        };
+        let expected: usize = triangles.iter().map(|t| fragments(*t, &whole)).sum();
+        for brick_bits in 1..=5 {
+            let bricks = Bricks::new(grid, brick_bits, &triangles);
+            let mut found = 0;
+            for i in 0..bricks.len() {
+                let (code, clip, members) = bricks.brick(i);
+                assert_eq!(cell_of_morton(code).map(|c| (c as i32) << brick_bits), clip.min);
+                found += members.iter().map(|m| fragments(triangles[*m as usize], &clip)).sum::<usize>();
+            }
+            assert_eq!(found, expected, "bricks of {brick_bits} bits");
+        }
     }
 
     #[test]

@@ -291,9 +291,7 @@ fn write_depfile(
     let escaped = |path: &Path| {
         let path = path.display().to_string();
         let path = if cfg!(windows) { path.replace('\\', "/") } else { path };
-        path.replace('$', "$$")
-            .replace('#', "\\#")
-            .replace(' ', "\\ ")
+        path.replace('$', "$$").replace('#', "\\#").replace(' ', "\\ ")
     };
     let mut rule = format!("{}:", escaped(output));
     for file in summary.files.iter().map(PathBuf::as_path).chain(recipe) {

@@ -61,12 +61,7 @@ pub(crate) fn run(options: &Options) -> CliResult {
     report(&archive, &checks, comparison.as_ref(), options.format)
 }
 
-fn report(
-    archive: &Archive,
-    checks: &[Check],
-    comparison: Option<&Comparison>,
-    format: Format,
-) -> CliResult {
+fn report(archive: &Archive, checks: &[Check], comparison: Option<&Comparison>, format: Format) -> CliResult {
     let failures: Vec<&String> = checks.iter().flat_map(|check| &check.failures).collect();
     match format {
         Format::Json => {

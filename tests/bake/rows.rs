@@ -1,6 +1,7 @@
 //! Rows of scenes whose rows are known.
 
 use crate::scenes::{baked, box_mesh, cut_in_half, floor_mesh, one_mesh, small};
+use crate::workplace::Workplace;
 use glam::Vec3;
 use manyview::Archive;
 use manyview_pipeline::rows::RowsFrom;
@@ -94,4 +95,21 @@ fn no_direction_is_empty_and_opposite_borders_are_reached() {
             );
         }
     }
+}
+
+#[test]
+fn rows_that_miss_all_of_a_thin_thing_are_sound() {
+    // A sliver along the diagonal: voxels of the octree are finer than it, those of the rows far coarser.
+    let mut sliver = floor_mesh(0.0, 1.0, 0.0);
+    sliver.positions = vec![Vec3::new(0.013, 0.0, 0.007), Vec3::ONE, Vec3::new(1.0, 1.0, 0.996)];
+    sliver.base_color_uvs.clear();
+    sliver.triangles = vec![[0, 1, 2]];
+    let work = Workplace::new();
+    work.write_scene("scene.glb", &one_mesh(sliver, Material::default()));
+    let arguments = ["--levels", "10", "--rows", "32", "--directions", "latlong:6x6", "--rows-from", "peel"];
+    work.run([&["bake", "scene.glb", "-o", "out.mvb", "--backend", "cpu"], &arguments[..]].concat())
+        .succeeded();
+    let report = work.run(["verify", "out.mvb"]).succeeded();
+    assert!(report.stdout.contains("directions without any"), "{}", report.stdout);
+    assert!(report.stdout.contains("sound"), "{}", report.stdout);
 }
