@@ -297,6 +297,9 @@ pub fn bake<W: Write + Seek>(
     let mut points = 0;
     if let Some(rows) = options.rows {
         row_triangles = LatticeTriangles::new(scene, &cutouts, |p| lattice.snap(p.to_array()));
+        if progress.cancelled() {
+            return Err(BakeError::Cancelled);
+        }
         progress.begin("row points", 1, "sets");
         plan = Some(RowsPlan::new(rows, lattice, &row_triangles, &cutouts));
         progress.advance(1);

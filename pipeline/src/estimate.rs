@@ -84,12 +84,12 @@ impl Estimate {
         let brick_entries =
             triangles.saturating_add(whole(surface.lengths * 3.0 / 64.0 + surface.voxels / 1024.0));
         let octree_bytes = leaves * 15 * 2 + 64 * size_of::<PackedFragment>() as u64 * 4096;
-        // Rows are made from points in cells of a quarter voxel: those of the bounds' faces or of the surface, 40 bytes
+        // Rows are made from points in cells of a quarter voxel: those of the bounds' faces or of the surface, 48 bytes
         // each while they are sorted.
         let rows_bytes = options.rows.map_or(0, |r| {
             let cells = 1u64 << (2 * (r.bits + 2));
             let of_surface = surface.voxels * cells as f64 / f64::from(grid.size()).powi(2);
-            whole(of_surface).max(6 * cells).min(1 << (3 * (r.bits + 2))) * 40
+            whole(of_surface).max(6 * cells).min(1 << (3 * (r.bits + 2))) * 48
         });
         // Every thread has a block of rows and its compressed form, and waits for some blocks before its own.
         let threads = rayon::current_num_threads() as u64;

@@ -72,6 +72,22 @@ fn an_interrupt_ends_the_bake_and_leaves_nothing() {
 }
 
 #[test]
+fn an_interrupt_of_a_scene_in_the_making_leaves_nothing() {
+    for milliseconds in [0, 500] {
+        let work = Workplace::new();
+        let arguments = ["scene", "city", "--triangles", "20000000", "-o", "city.glb"];
+        let mut child = work.command().args(arguments).stderr(Stdio::piped()).spawn().unwrap();
+        let mut line = String::new();
+        let mut lines = BufReader::new(child.stderr.take().expect("piped"));
+        assert!(lines.read_line(&mut line).unwrap() > 0, "it says what it is about to do");
+        std::thread::sleep(Duration::from_millis(milliseconds));
+        interrupt(&child);
+        assert_eq!(child.wait().unwrap().code(), Some(130), "after {milliseconds} ms");
+        assert_eq!(work.names(), [""; 0], "after {milliseconds} ms");
+    }
+}
+
+#[test]
 fn a_killed_bake_loses_nothing_and_the_next_one_cleans_up() {
     let work = workplace();
     let expected = work.bake("scene.glb", "expected.mvb", &[]);
