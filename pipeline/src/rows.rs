@@ -216,7 +216,7 @@ impl<'a> RowsPlan<'a> {
         progress.begin("rows", self.frames.len() as u64, "directions");
         let compress = |rows: Vec<u32>| {
             // The format is little-endian; every target that the bake supports is too.
-            CompressedChunk::compress(bytemuck::cast_slice(&rows), zstd_level)
+            CompressedChunk::compress_sparse(bytemuck::cast_slice(&rows), zstd_level)
         };
         let wave = 16 * rayon::current_num_threads();
         let mut item = 0;
