@@ -25,6 +25,8 @@ const PROBES: u32 = 192;
 const PROBE_RAYS: u32 = 64;
 /// Share of the free points that must be in rooms for the scene to be shown from inside.
 const ROOM_SHARE: f64 = 0.4;
+/// Level whose cells are fitted into the picture.
+const FITTED_LEVEL: u32 = 6;
 /// Rays a row of a candidate's picture; it has as many rows as its aspect ratio asks for.
 const TRIAL_WIDTH: u32 = 48;
 
@@ -56,7 +58,8 @@ pub fn choose_camera(scene: &Scene, bounds: [DVec3; 2], aspect: f64, choice: Cam
         CameraChoice::Auto => rooms >= ROOM_SHARE * probes.len() as f64 && rooms >= 4.0,
     };
     let candidates = if inside { inside_candidates(probes) } else { Vec::new() };
-    let candidates = if candidates.is_empty() { outside_candidates(bounds, aspect) } else { candidates };
+    let candidates =
+        if candidates.is_empty() { outside_candidates(scene, bounds, aspect) } else { candidates };
     let score = |&(camera, bonus): &(Camera, f64)| score(scene, &camera, aspect) * bonus;
     let scores: Vec<f64> = candidates.par_iter().map(score).collect();
     // The first of equals, whatever the threads did.
@@ -108,8 +111,16 @@ fn inside_candidates(mut probes: Vec<Probe>) -> Vec<(Camera, f64)> {
     candidates
 }
 
-fn outside_candidates([min, max]: [DVec3; 2], aspect: f64) -> Vec<(Camera, f64)> {
+fn outside_candidates(scene: &Scene, [min, max]: [DVec3; 2], aspect: f64) -> Vec<(Camera, f64)> {
     let extent = max - min;
+    let octree = scene.octree();
+    let level = octree.depth().min(FITTED_LEVEL);
+    let edge = octree.cell_size(level);
+    let corners = octree.corners(level).into_iter().flat_map(|corner| {
+        // A cell may reach beyond the scene.
+        (0..8).map(move |c| (DVec3::from(corner) + corner_of_cube(c) * edge).clamp(min, max))
+    });
+    let corners: Vec<DVec3> = corners.collect();
     // Flat scenes are seen from higher up, or little of them is.
     let flat = extent.y < 0.25 * extent.x.max(extent.z);
     let mut candidates = Vec::new();
@@ -119,11 +130,16 @@ fn outside_candidates([min, max]: [DVec3; 2], aspect: f64) -> Vec<(Camera, f64)>
             let from = DVec3::new(cosine, height, sine).normalize_or(DVec3::Z);
             // glTF's front is +Z: of views that are about as good, one from there.
             let front_bonus = 1.0 + 0.12 * sine;
-            let camera = Camera::fitted(min, max, from, OUTSIDE_FOV, aspect);
+            let camera = Camera::fitted(&corners, from, OUTSIDE_FOV, aspect);
             candidates.push((camera, height_bonus * front_bonus));
         }
     }
     candidates
+}
+
+/// Corner `c` of the unit cube.
+fn corner_of_cube(c: u32) -> DVec3 {
+    DVec3::from([0, 1, 2].map(|i| f64::from(c >> i & 1)))
 }
 
 /// How much a camera sees: the share of its picture that is filled, weighted by how varied depths are and how much of
