@@ -11,6 +11,7 @@ use thiserror::Error;
 use crate::scene::{Mesh, Scene};
 
 mod document;
+mod schema;
 
 use document::{Component, Document, Payload};
 

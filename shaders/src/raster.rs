@@ -187,6 +187,15 @@ impl Raster {
         })
     }
 
+    /// Smallest and largest pixel (inclusive; largest < smallest if there is none) that [`Self::fragments`] looks at.
+    pub fn pixels(&self, clip: &VoxelBox) -> [[i32; 2]; 2] {
+        let (x, y) = ((self.axis + 1) % 3, (self.axis + 2) % 3);
+        [
+            [self.pixel_min[0].max(clip.min[x]), self.pixel_min[1].max(clip.min[y])],
+            [self.pixel_max[0].min(clip.max[x] - 1), self.pixel_max[1].min(clip.max[y] - 1)],
+        ]
+    }
+
     /// Visits every fragment inside `clip`, row by row.
     #[inline]
     pub fn fragments(&self, clip: &VoxelBox, mut visit: impl FnMut(Fragment)) {

@@ -1,5 +1,6 @@
 //! The commands: each parses its options, calls the library, and prints. Results go to stdout, all else to stderr.
 
+mod bake;
 mod camera_file;
 mod cancel;
 mod diff;
@@ -7,6 +8,8 @@ mod error;
 mod inspect;
 mod output;
 mod preview;
+mod progress;
+mod scene;
 mod verify;
 mod voxels;
 
@@ -30,6 +33,10 @@ const EXIT_CODES: &str = "Exit codes: 0 done, 1 internal error (or, for `diff`, 
 
 #[derive(Debug, Subcommand)]
 enum Command {
+    /// Bakes a glTF scene into an archive: octree and rows
+    Bake(bake::Options),
+    /// Makes a scene by code, of any size
+    Scene(scene::Options),
     /// Shows what is inside an archive: counts, sizes, ratios, bounds, digests
     Inspect(inspect::Options),
     /// Checks every byte and every structure of an archive
@@ -58,6 +65,8 @@ pub(crate) fn main() -> ExitCode {
     start_log();
     cancel::catch_interrupt();
     let result = panic::catch_unwind(|| match &cli.command {
+        Command::Bake(options) => bake::run(options),
+        Command::Scene(options) => scene::run(options),
         Command::Inspect(options) => inspect::run(options),
         Command::Verify(options) => verify::run(options),
         Command::Diff(options) => diff::run(options),

@@ -1,6 +1,7 @@
 //! `manyview preview`.
 
-use std::path::PathBuf;
+use std::ffi::OsStr;
+use std::path::{Path, PathBuf};
 use std::str::FromStr;
 
 use clap::ValueEnum;
@@ -195,6 +196,18 @@ pub(crate) fn run(options: &Options) -> CliResult {
     write_picture(&options.output, format, &picture)?;
     eprintln!("{}: {} × {} pixels", options.output.display(), picture.width, picture.height);
     Ok(Exit::Done)
+}
+
+/// Draws a view of `archive` with the default options.
+pub(crate) fn draw_default(archive: &Path, picture: &Path) -> Result<(), CliError> {
+    #[derive(clap::Parser)]
+    struct Defaults {
+        #[command(flatten)]
+        options: Options,
+    }
+    let arguments = [OsStr::new("preview"), archive.as_os_str(), OsStr::new("-o"), picture.as_os_str()];
+    let Defaults { options } = clap::Parser::try_parse_from(arguments).map_err(CliError::usage)?;
+    run(&options).map(|_| ())
 }
 
 fn view_picture(archive: &Archive, options: &Options, level: u32) -> Result<Picture, CliError> {

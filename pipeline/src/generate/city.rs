@@ -25,7 +25,7 @@ pub(super) fn city(scene: &mut Scene, triangles: u64, seed: u64) {
     let centre = |i: u32| (i as f32 + 0.5) * PITCH - half_extent;
 
     ground(scene, &palette, side, half_extent);
-    lamps(scene, &palette, side, half_extent, (triangles / 12).min(MAX_LAMPS * 108));
+    lamps(scene, &palette, side, half_extent, triangles / 12);
 
     let spots: Vec<_> = (0..(side * side / 8).max(1))
         .map(|_| Spot {
@@ -83,7 +83,7 @@ fn ground(scene: &mut Scene, palette: &Palette, side: u32, half_extent: f32) {
 
 fn lamps(scene: &mut Scene, palette: &Palette, side: u32, half_extent: f32, budget: u64) {
     let model = lamp(palette);
-    let count = (budget / model.triangles()).min(u64::from(2 * side * side)) as u32;
+    let count = (budget / model.triangles()).min(u64::from(2 * side * side)).min(MAX_LAMPS) as u32;
     let meshes = model.into_scene(scene, "lamp");
     for index in 0..count {
         let cell = index / 2;

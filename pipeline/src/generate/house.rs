@@ -199,8 +199,14 @@ fn entrance(model: &mut Model, palette: &Palette, at: &Frame, plinth: f32, paint
     let p = |x: f32, y: f32| at.point(vec3(x, y, 0.1));
     let pane = if rng.chance(0.6) { palette.lit_glass } else { palette.dark_glass };
     model.quad(pane, [p(-0.5, 2.04), p(0.5, 2.04), p(0.5, 2.34), p(-0.5, 2.34)]);
-    model.block(palette.stone, at, vec3(-0.8, -plinth, 0.0), vec3(0.8, -0.02, 0.55), Hidden::Back);
-    model.block(palette.stone, at, vec3(-0.9, -plinth, 0.55), vec3(0.9, -0.5 * plinth, 1.0), Hidden::Back);
+    model.block(palette.stone, at, vec3(-0.8, -plinth - 1.5, 0.0), vec3(0.8, -0.02, 0.55), Hidden::Back);
+    model.block(
+        palette.stone,
+        at,
+        vec3(-0.9, -plinth - 1.5, 0.55),
+        vec3(0.9, -0.5 * plinth, 1.0),
+        Hidden::Back,
+    );
     model.block(palette.wood, at, vec3(-0.95, 2.6, 0.0), vec3(0.95, 2.7, 0.9), Hidden::Back);
 }
 

@@ -110,3 +110,42 @@ fn names_are_read_back() {
     let error = "village".parse::<SceneKind>().unwrap_err();
     assert_eq!(error.to_string(), "no scene is called \"village\": use town, city, forest, hairball or park");
 }
+
+/// Frozen digests: whoever changes a generator changes them here, and a host that computes otherwise fails.
+#[test]
+fn bits_are_frozen() {
+    let digests: Vec<_> =
+        SceneKind::all().into_iter().map(|kind| digest(&generate(kind, 20_000, 1))).collect();
+    assert_eq!(
+        digests,
+        ["cd91b23e077d52ce", "fa32fef5d24c15b9", "81db9e54e4881de3", "391b6193fe6a5a78", "7b2622da1350c6ce"]
+    );
+}
+
+/// The first 16 hexadecimal digits of a hash over geometry, placement, textures and lights.
+fn digest(scene: &Scene) -> String {
+    let mut hasher = blake3::Hasher::new();
+    let mut numbers = |values: &[f32]| {
+        for value in values {
+            hasher.update(&value.to_le_bytes());
+        }
+    };
+    for mesh in &scene.meshes {
+        mesh.positions.iter().chain(&mesh.normals).for_each(|p| numbers(&p.to_array()));
+        mesh.base_color_uvs.iter().for_each(|uv| numbers(&uv.to_array()));
+        mesh.colors.iter().for_each(|color| numbers(&color.to_array()));
+    }
+    for light in &scene.lights {
+        numbers(&light.position.to_array());
+    }
+    for index in scene.meshes.iter().flat_map(|mesh| mesh.triangles.iter().flatten()) {
+        hasher.update(&index.to_le_bytes());
+    }
+    for value in scene.instances.iter().flat_map(|instance| instance.world_from_object.to_cols_array()) {
+        hasher.update(&value.to_le_bytes());
+    }
+    for texture in &scene.textures {
+        hasher.update(bytemuck::cast_slice(&texture.texels));
+    }
+    hasher.finalize().to_hex()[..16].to_owned()
+}

@@ -47,7 +47,7 @@ pub(super) fn town(scene: &mut Scene, triangles: u64, seed: u64) {
     let palette = Palette::new(scene);
     // About 10,000 triangles a block, of which nearly half are trees.
     let blocks = ((triangles / 10_000) as f32).sqrt().round().max(1.0) as u32;
-    let terrain = Terrain::new(seed, 70.0, 9.0, 30.0);
+    let terrain = Terrain::new(seed, 80.0, 7.5, 30.0);
     let plain = triangles < 20_000;
     let strips = match triangles {
         0..3_000 => [1, 2],
@@ -201,9 +201,14 @@ impl Town<'_> {
                 let along = ((lot % ROW) as f32 + 0.5) * lot_width - 0.5 * BLOCK;
                 let row_frame = block.side(Vec3::ZERO, facing);
                 let place = row_frame.moved(vec3(along, 0.0, 0.5 * BLOCK - 5.6 - self.rng.range(0.0, 2.5)));
-                let ground = |p: Vec3| self.terrain.height(p.x + x, p.z + z);
-                let front = ground(place.moved(vec3(0.0, 0.0, 5.0)).origin);
-                let foot = Frame { origin: place.origin + Vec3::Y * front, ..place };
+                // On a slope the highest corner decides; the foundation reaches down to the others.
+                let corners = [(-5.0, 5.0), (0.0, 5.0), (5.0, 5.0), (5.0, -5.0), (-5.0, -5.0)];
+                let ground = corners.map(|(dx, dz)| {
+                    let corner = place.moved(vec3(dx, 0.0, dz)).origin;
+                    self.terrain.height(corner.x + x, corner.z + z)
+                });
+                let highest = ground.into_iter().fold(f32::MIN, f32::max) - 0.25;
+                let foot = Frame { origin: place.origin + Vec3::Y * highest, ..place };
                 house(&mut model, &self.palette, &foot, [lot_width - 0.6, 9.6], self.plain, &mut self.rng);
                 self.hedge(&mut model, &foot, lot_width);
                 for _ in 0..self.rng.below(3) {
