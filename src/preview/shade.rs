@@ -85,10 +85,13 @@ impl Light {
         light
             + match scene.octree().intersect(&gather, hit.level) {
                 None => self.ambient(towards),
+                // In a crease the ray may begin inside a neighbour, which tells nothing of what is around.
+                Some(found) if found.face.is_none() => self.ambient(towards) * 0.6,
                 Some(found) => {
                     let emitted = Vec3::from(scene.emitted(&found)).min(Vec3::splat(GATHER_LIMIT));
                     let near = (found.t / self.reach) as f32;
-                    emitted + Vec3::from(scene.base_color(&found)) * self.ambient(towards) * (0.55 * near)
+                    emitted
+                        + Vec3::from(scene.base_color(&found)) * self.ambient(towards) * (0.15 + 0.45 * near)
                 }
             }
     }
