@@ -13,8 +13,8 @@ fn brute_force(octree: &Octree, ray: &Ray, level: u32) -> Option<f64> {
     let mut nearest: Option<f64> = None;
     for corner in octree.corners(level) {
         let (mut enter, mut exit) = (ray.t_min, ray.t_max);
-        for i in 0..3 {
-            let (low, high) = (corner[i] - ray.origin[i], corner[i] + edge - ray.origin[i]);
+        for (i, corner) in corner.into_iter().enumerate() {
+            let (low, high) = (corner - ray.origin[i], corner + edge - ray.origin[i]);
             if ray.direction[i] == 0.0 {
                 // Half open: the smallest face belongs to the cell.
                 if !(low <= 0.0 && high > 0.0) {
