@@ -170,11 +170,12 @@ impl GpuContext {
         Ok(result)
     }
 
-    /// Waits until all submitted work is done.
-    pub(super) fn wait(&self) -> Result<(), DeviceError> {
+    /// Waits until a submission is done.
+    pub(super) fn wait(&self, submission: &wgpu::SubmissionIndex) -> Result<(), DeviceError> {
         self.check()?;
+        let until = wgpu::PollType::Wait { submission_index: Some(submission.clone()), timeout: None };
         // wgpu panics when a device is lost while it waits.
-        let polled = catch_unwind(AssertUnwindSafe(|| self.device.poll(wgpu::PollType::wait_indefinitely())));
+        let polled = catch_unwind(AssertUnwindSafe(|| self.device.poll(until)));
         let problem = match polled {
             Ok(Ok(_)) => return self.check(),
             Ok(Err(error)) => error.to_string(),
