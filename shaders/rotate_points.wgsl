@@ -14,33 +14,17 @@ struct PointParams {
 @group(0) @binding(2) var<storage, read> points: array<u32>;
 @group(0) @binding(3) var<storage, read_write> bits: array<atomic<u32>>;
 
-// A direction's axes; the fourth component is the offset.
-struct Axes {
-    u: vec4<i32>,
-    v: vec4<i32>,
-    w: vec4<i32>,
-}
-
 fn set_voxel(direction: u32, axes: Axes, p: vec3<i32>) {
-    let raw = vec3<i32>(dot(axes.u.xyz, p), dot(axes.v.xyz, p), dot(axes.w.xyz, p)) + vec3<i32>(axes.u.w, axes.v.w, axes.w.w);
-    let voxel = vec3<u32>(clamp(raw, vec3<i32>(0), vec3<i32>((1i << ROW_RAW_BITS) - 1i))) >> vec3<u32>(ROW_RAW_BITS - params.grid_bits);
-    let bit = (((((direction << params.grid_bits) | voxel.y) << params.grid_bits) | voxel.x) << params.grid_bits) | voxel.z;
+    let voxel = vec3<u32>(raw_point(axes, p)) >> vec3<u32>(ROW_RAW_BITS - params.grid_bits);
+    let row = (((direction << params.grid_bits) | voxel.y) << params.grid_bits) | voxel.x;
+    let bit = (row << params.grid_bits) | voxel.z;
     atomicOr(&bits[bit >> 5u], 1u << (bit & 31u));
-}
-
-fn axis_of(direction: u32, axis: u32) -> vec4<i32> {
-    return vec4<i32>(
-        frames[direction].row_from_lattice[axis][0],
-        frames[direction].row_from_lattice[axis][1],
-        frames[direction].row_from_lattice[axis][2],
-        frames[direction].offset[axis],
-    );
 }
 
 @compute @workgroup_size(64)
 fn main(@builtin(workgroup_id) group: vec3<u32>, @builtin(local_invocation_index) lane: u32) {
     let direction = group.y;
-    let axes = Axes(axis_of(direction, 0u), axis_of(direction, 1u), axis_of(direction, 2u));
+    let axes = axes_of(direction);
     for (var i = 0u; i < PAIRS_PER_INVOCATION; i += 1u) {
         let pair = (group.x * PAIRS_PER_INVOCATION + i) * 64u + lane;
         if pair >= params.pairs {
