@@ -96,7 +96,6 @@ pub(super) fn peel_piece(
     recording.clear(count_buffer);
     work.executor.run(&recording)?;
 
-    let mut counted = 0;
     for views in views.chunks((columns * rows) as usize) {
         let peel = [PeelParams { cell, columns, rows, views: views.len() as u32 }];
         let mut recording = Recording::new();
@@ -109,7 +108,7 @@ pub(super) fn peel_piece(
                 recording.clear_depth(layer, 1.0);
                 recording.draw(
                     &stages::peel,
-                    [6 * triangles.len() as u32, views.len() as u32],
+                    [3 * triangles.len() as u32, views.len() as u32],
                     &[
                         params_buffer.into(),
                         peel_buffer.into(),
@@ -140,10 +139,7 @@ pub(super) fn peel_piece(
             }
             // The count goes on from layer to layer: one that adds nothing is empty, and so are all behind it.
             let counts = work.executor.run(&recording)?;
-            let last = counted;
-            counted = counts[LAYERS_PER_RUN - 1][0];
-            let before = if LAYERS_PER_RUN > 1 { counts[LAYERS_PER_RUN - 2][0] } else { last };
-            if counted == before {
+            if counts[LAYERS_PER_RUN - 1] == counts[LAYERS_PER_RUN - 2] {
                 break;
             }
             recording = Recording::new();
