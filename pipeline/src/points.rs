@@ -38,7 +38,7 @@ pub fn surface_points(triangles: &LatticeTriangles, cutouts: &Cutouts, bits: u32
             for index in chunk * CHUNK..end {
                 let mask = triangles.mask(cutouts, index);
                 sample_triangle(grid, &triangles.triangles[index], mask, cutouts, |p| {
-                    points.push((cell_key(p, bits), p))
+                    points.push((cell_key(p, bits), p));
                 });
             }
             points.sort_unstable();

@@ -181,10 +181,10 @@ impl<'a> RowsPlan<'a> {
         for (frame, out) in frames.iter().zip(rows.chunks_exact_mut(words)) {
             match self.options.from {
                 RowsFrom::Peel => {
-                    raster_direction(frame, self.options.bits, self.triangles, self.cutouts, out)
+                    raster_direction(frame, self.options.bits, self.triangles, self.cutouts, out);
                 }
                 RowsFrom::Rotate | RowsFrom::Points => {
-                    rotate_direction(frame, self.options.bits, &self.soa, out)
+                    rotate_direction(frame, self.options.bits, &self.soa, out);
                 }
             }
         }
