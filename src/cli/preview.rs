@@ -198,14 +198,16 @@ pub(crate) fn run(options: &Options) -> CliResult {
     Ok(Exit::Done)
 }
 
-/// Draws a view of `archive` with the default options.
-pub(crate) fn draw_default(archive: &Path, picture: &Path) -> Result<(), CliError> {
+/// Draws a view of `archive` with the default options, from a camera file if there is one.
+pub(crate) fn draw_default(archive: &Path, picture: &Path, camera: Option<&Path>) -> Result<(), CliError> {
     #[derive(clap::Parser)]
     struct Defaults {
         #[command(flatten)]
         options: Options,
     }
-    let arguments = [OsStr::new("preview"), archive.as_os_str(), OsStr::new("-o"), picture.as_os_str()];
+    let camera = camera.map_or(OsStr::new("auto"), Path::as_os_str);
+    let (archive, picture) = (archive.as_os_str(), picture.as_os_str());
+    let arguments = ["preview".as_ref(), archive, "-o".as_ref(), picture, "--camera".as_ref(), camera];
     let Defaults { options } = clap::Parser::try_parse_from(arguments).map_err(CliError::usage)?;
     run(&options).map(|_| ())
 }
