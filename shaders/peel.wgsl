@@ -29,7 +29,8 @@ struct Corner {
 fn vertex(@builtin(vertex_index) index: u32, @builtin(instance_index) instance: u32) -> Corner {
     let triangle = index / 3u;
     let view = views[instance];
-    var p = project(triangle_vertices(triangle, view.direction), view.axis, params.sub_bits, params.clip_min, params.clip_max);
+    let vertices = triangle_vertices(triangle, view.direction);
+    var p = project(vertices, view.axis, params.sub_bits, params.clip_min, params.clip_max);
     let window = vec2<i32>(view.window_x, view.window_y);
     p.pixel_min = max(p.pixel_min, window);
     p.pixel_max = min(p.pixel_max, window + i32(peel.cell) - 1i);
@@ -61,7 +62,8 @@ fn fragment(corner: Corner) -> @builtin(frag_depth) f32 {
     if any(pixel < corner.pixels.xy) || any(pixel > corner.pixels.zw) {
         discard;
     }
-    let p = Projected(corner.a, corner.b, corner.c, i32(corner.ids.z), corner.ids.w == 1u, corner.pixels.xy, corner.pixels.zw);
+    let swapped = corner.ids.w == 1u;
+    let p = Projected(corner.a, corner.b, corner.c, i32(corner.ids.z), swapped, corner.pixels.xy, corner.pixels.zw);
     let s = sample_pixel(p, pixel, params.sub_bits);
     let near = to_projection(params.clip_min, view.axis).z;
     let far = to_projection(params.clip_max, view.axis).z;

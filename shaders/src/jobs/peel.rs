@@ -1,7 +1,7 @@
 //! Depth peeling: layer after layer, until one is empty.
 //!
 //! # Theory
-//! [WMP] Algorithm 1: render the triangles along each axis, discard what is not behind the layer before, until nothing
+//! \[WMP\] Algorithm 1: render the triangles along each axis, discard what is not behind the layer before, until nothing
 //! is left. Depth is a voxel here, so that a layer has the nearest *voxel* behind the layer before and a column of
 //! n voxels has at most n layers.
 //!
