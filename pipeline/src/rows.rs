@@ -1,7 +1,7 @@
 //! Triangles in, bit rows of every direction out.
 //!
 //! # Theory
-//! [WMP] Algorithm 1 voxelizes the scene once per direction with depth peeling along three axes; Algorithm 5 rotates the
+//! \[WMP\] Algorithm 1 voxelizes the scene once per direction with depth peeling along three axes; Algorithm 5 rotates the
 //! voxels of one voxelization into all others.
 //!
 //! # Differences from the paper
@@ -29,10 +29,10 @@ use std::io::{Seek, Write};
 /// How rows are voxelized.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub enum RowsFrom {
-    /// Every direction from the triangles, along three axes ([WMP] Algorithm 1). On a GPU by depth peeling; on the CPU
+    /// Every direction from the triangles, along three axes (\[WMP\] Algorithm 1). On a GPU by depth peeling; on the CPU
     /// in one pass, which gives the same bits.
     Peel,
-    /// One voxelization, rotated ([WMP] Algorithm 5).
+    /// One voxelization, rotated (\[WMP\] Algorithm 5).
     Rotate,
     /// A dense set of surface points, rotated.
     Points,
