@@ -63,8 +63,10 @@ pub struct RowsOptions {
     pub from: RowsFrom,
 }
 
-/// A point is kept per cell of a quarter of a voxel's edge.
-const POINT_BITS_ABOVE_VOXELS: u32 = 2;
+/// log2 of cells per voxel edge: a point is kept per cell of a quarter of a voxel's edge.
+pub const POINT_BITS_ABOVE_VOXELS: u32 = 2;
+/// Finest grid of cells that points are kept by: Morton codes have 10 bits per axis.
+const MAX_POINT_BITS: u32 = 10;
 
 /// Everything that the blocks of rows are made from.
 pub struct RowsPlan<'a> {
@@ -94,7 +96,18 @@ impl<'a> RowsPlan<'a> {
         triangles: &'a LatticeTriangles,
         cutouts: &'a Cutouts,
     ) -> Self {
-        let surface = surface_points(triangles, cutouts, options.bits + POINT_BITS_ABOVE_VOXELS);
+        Self::with_density(options, lattice, triangles, cutouts, POINT_BITS_ABOVE_VOXELS)
+    }
+
+    /// Like [`RowsPlan::new`], with `2^point_bits` cells per voxel edge, each of which keeps one surface point.
+    pub fn with_density(
+        options: RowsOptions,
+        lattice: RowLattice,
+        triangles: &'a LatticeTriangles,
+        cutouts: &'a Cutouts,
+        point_bits: u32,
+    ) -> Self {
+        let surface = surface_points(triangles, cutouts, (options.bits + point_bits).min(MAX_POINT_BITS));
         let boxes = coarse_boxes(&surface);
         let set = options.directions;
         let frames: Vec<_> = (0..set.count())
@@ -127,6 +140,11 @@ impl<'a> RowsPlan<'a> {
     /// Number of points that are rotated; 0 where triangles are voxelized.
     pub fn point_count(&self) -> usize {
         self.points.len()
+    }
+
+    /// The points that are rotated, in row-lattice coordinates; empty where triangles are voxelized.
+    pub fn points(&self) -> &[[i16; 3]] {
+        &self.points
     }
 
     /// The head of the rows' sections.
