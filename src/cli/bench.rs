@@ -1,0 +1,70 @@
+//! `manyview bench`.
+
+use manyview::bench::{BenchError, BenchScene, SceneSource, Table, rows, voxels};
+use manyview::rays::OriginBias;
+use manyview_pipeline::bake::Progress;
+use std::path::PathBuf;
+
+/// Options of `bench`.
+#[derive(Debug, clap::Args)]
+pub(crate) struct Args {
+    /// What to measure; all tables if none is named
+    #[arg(value_name = "TABLE", value_enum)]
+    tables: Vec<TableName>,
+    /// A .glb or .gltf file, or KIND:TRIANGLES for a generated scene; may be repeated
+    #[arg(long = "scene", value_name = "SCENE", default_value = "town:100000")]
+    scenes: Vec<SceneSource>,
+    /// Folder for the tables as Markdown, CSV and JSON; without it they are printed
+    #[arg(short, long, value_name = "DIR")]
+    output: Option<PathBuf>,
+    /// Directions that are sampled for the rows
+    #[arg(long, value_name = "N", default_value_t = 64, value_parser = clap::value_parser!(u32).range(1..=8100))]
+    directions: u32,
+    /// Rays per direction
+    #[arg(long, value_name = "N", default_value_t = 1024, value_parser = clap::value_parser!(u32).range(1..=1 << 20))]
+    rays: u32,
+    /// Seed of directions and rays
+    #[arg(long, value_name = "S", default_value_t = 1)]
+    seed: u64,
+}
+
+/// The tables there are.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, clap::ValueEnum)]
+pub(crate) enum TableName {
+    /// Octree occupancy against exact triangle-box overlap
+    Voxels,
+    /// Rows of every source, grid and direction set against exact rays
+    Rows,
+}
+
+/// Runs `bench`: measures, hands every table to `print` as Markdown or writes it to the folder as soon as it is done.
+pub(crate) fn run(
+    args: &Args,
+    progress: &dyn Progress,
+    mut print: impl FnMut(&str),
+) -> Result<(), BenchError> {
+    let wanted = |table| args.tables.is_empty() || args.tables.contains(&table);
+    let mut done = |table: &Table| match &args.output {
+        Some(folder) => table.write(folder),
+        None => {
+            print(&table.markdown());
+            print("\n");
+            Ok(())
+        }
+    };
+    if wanted(TableName::Voxels) {
+        done(&voxels::run(args.scenes.iter().map(BenchScene::load), progress)?)?;
+    }
+    if wanted(TableName::Rows) {
+        let Args { directions, rays, seed, .. } = *args;
+        let settings = rows::RowsSettings { directions, rays, seed, bias: OriginBias::default() };
+        let variants = rows::variants();
+        for source in &args.scenes {
+            let scene = BenchScene::load(source)?;
+            for table in rows::run(&scene, &variants, &settings, progress)? {
+                done(&table)?;
+            }
+        }
+    }
+    Ok(())
+}
