@@ -257,7 +257,8 @@ mod tests {
 
     #[test]
     fn a_generated_scene_keeps_every_promise_and_adds_nothing() {
-        for kind in [SceneKind::Town, SceneKind::Hairball] {
+        // Hairs are far thinner than these voxels: most of what they touch has no pixel centre.
+        for (kind, misses) in [(SceneKind::Town, 5.0..70.0), (SceneKind::Hairball, 50.0..95.0)] {
             let scene = BenchScene::new(kind.to_string(), generate(kind, 3000, 1)).unwrap();
             let mut table = Table::new("t", "t", &COLUMNS);
             add_scene(&mut table, &scene, &[5, 6], &Silent).unwrap();
@@ -265,7 +266,7 @@ mod tests {
                 let zero = Cell::Count(0);
                 assert_eq!((&row[5], &row[10], &row[11]), (&zero, &zero, &zero), "{row:?}");
                 let Cell::Number(missed, _) = row[4] else { panic!("{row:?}") };
-                assert!((5.0..70.0).contains(&missed), "{row:?}");
+                assert!(misses.contains(&missed), "{row:?}");
             }
         }
     }
