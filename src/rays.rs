@@ -30,18 +30,21 @@ pub struct OriginBias {
     pub normal_voxels: f64,
     /// The row is skipped for this far divided by the cosine between ray and normal, in voxels.
     pub skip_voxels: f64,
+    /// Then set bits without a gap belong to the origin's surface, for at most this far divided by the cosine, in
+    /// voxels.
+    pub run_voxels: f64,
 }
 
 impl Default for OriginBias {
     /// One voxel along the normal, and half a voxel of the row over the cosine.
     fn default() -> Self {
-        Self { normal_voxels: 1.0, skip_voxels: 0.5 }
+        Self { normal_voxels: 1.0, skip_voxels: 0.5, run_voxels: 0.0 }
     }
 }
 
 impl OriginBias {
     /// No bias at all.
-    pub const NONE: Self = Self { normal_voxels: 0.0, skip_voxels: 0.0 };
+    pub const NONE: Self = Self { normal_voxels: 0.0, skip_voxels: 0.0, run_voxels: 0.0 };
 }
 
 /// The rows of one direction.
@@ -93,10 +96,22 @@ impl<'a> DirectionRows<'a> {
         if !(start <= end && end >= 0.0 && start < size && inside(middle.x) && inside(middle.y)) {
             return false;
         }
-        let (first, last) = (start.max(0.0) as u32, end.min(size - 1.0) as u32);
+        let (mut first, mut last) = (start.max(0.0) as u32, end.min(size - 1.0) as u32);
         let words = 1usize << (self.bits - 5);
         let row = ((middle.y as usize) << self.bits | middle.x as usize) * words;
         let row = &self.rows[row..row + words];
+        if bias.run_voxels > 0.0 && normal != DVec3::ZERO {
+            let mut left = (bias.run_voxels / cosine).min(size) as u32;
+            let is_set = |w: u32| row[(w >> 5) as usize] >> (w & 31) & 1 == 1;
+            let upwards = target.z >= origin.z;
+            while left > 0 && is_set(if upwards { first } else { last }) {
+                if first == last {
+                    return false;
+                }
+                (first, last) = if upwards { (first + 1, last) } else { (first, last - 1) };
+                left -= 1;
+            }
+        }
         (0u32..).zip(row).any(|(word, bits)| bits & word_mask(word, first, last) != 0)
     }
 }
@@ -188,8 +203,27 @@ mod tests {
         assert!(rows.is_occluded(&up_from(0.1), OriginBias::NONE));
         assert!(!rows.is_occluded(&up_from(0.1), OriginBias::default()));
         assert!(rows.is_occluded(&up_from(-2.5), OriginBias::default()), "but not the next one");
-        let skip_only = OriginBias { normal_voxels: 0.0, skip_voxels: 0.5 };
+        let skip_only = OriginBias { skip_voxels: 0.5, ..OriginBias::NONE };
         assert!(rows.is_occluded(&up_from(0.4), skip_only) && !rows.is_occluded(&up_from(0.6), skip_only));
+    }
+
+    #[test]
+    fn a_run_of_the_own_surface_ends_at_a_gap_and_at_its_limit() {
+        // Voxels 15, 16 and 17 are the own surface; 19 is something else.
+        let (frame, rows) = (along_y(), vec![0b10_1110 << 14; 1024]);
+        let rows = DirectionRows::new(&frame, &LATTICE, 5, &rows);
+        let ask =
+            |y: f64, run_voxels| rows.is_occluded(&up_from(y), OriginBias { run_voxels, ..OriginBias::NONE });
+        assert!(ask(-0.5, 3.0), "what is behind the gap occludes");
+        let below = |run_voxels| {
+            let segment = Segment { target: DVec3::new(5.3, 2.5, 0.4), ..up_from(-0.5) };
+            rows.is_occluded(&segment, OriginBias { run_voxels, ..OriginBias::NONE })
+        };
+        assert!(!below(3.0) && below(2.0) && below(0.0));
+        let down =
+            Segment { origin: DVec3::new(5.3, 1.5, 0.4), target: DVec3::new(5.3, -9.0, 0.4), normal: -UP };
+        assert!(!rows.is_occluded(&down, OriginBias { run_voxels: 3.0, ..OriginBias::NONE }));
+        assert!(rows.is_occluded(&down, OriginBias { run_voxels: 2.0, ..OriginBias::NONE }));
     }
 
     #[test]
