@@ -72,24 +72,38 @@ pub struct Variant {
     pub keep: Keep,
 }
 
-/// The variants that the default is chosen from: sources × fits × sets, then resolutions, smaller sets, densities and
-/// choices of points around the default.
-pub fn variants() -> Vec<Variant> {
+/// How many variants to measure.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub enum Detail {
+    /// The paper's ways and the neighbours of the default: half a minute for a scene of 100,000 triangles.
+    Brief,
+    /// Sources × fits × sets too: the paper's way is slow, and is measured in every one of them.
+    Full,
+}
+
+/// The variants that the default is chosen from: sources, fits, sets, resolutions, densities and choices of points.
+pub fn variants(detail: Detail) -> Vec<Variant> {
     let paper_set = DirectionSet::LatLong { thetas: 90, phis: 90 };
+    let octahedral = DirectionSet::Octahedral { size: 90 };
     let usual = RowsOptions { bits: 7, directions: paper_set, fit: Fit::Extent, from: RowsFrom::Points };
     let plain = |options| Variant { options, point_bits: POINT_BITS_ABOVE_VOXELS, keep: Keep::All };
     let mut all = Vec::new();
-    for directions in [paper_set, DirectionSet::Octahedral { size: 90 }] {
+    for directions in [paper_set, octahedral] {
         for fit in [Fit::Cube, Fit::Extent] {
             for (from, _) in RowsFrom::ALL {
-                all.push(plain(RowsOptions { directions, fit, from, ..usual }));
+                let paper = (directions, fit, from) == (paper_set, Fit::Cube, RowsFrom::Peel);
+                let one_step = [directions == paper_set, fit == Fit::Extent, from == RowsFrom::Points];
+                if detail == Detail::Full || paper || one_step.iter().filter(|same| **same).count() >= 2 {
+                    all.push(plain(RowsOptions { directions, fit, from, ..usual }));
+                }
             }
         }
     }
     for bits in [5, 6] {
-        for from in [RowsFrom::Peel, RowsFrom::Points] {
-            all.push(plain(RowsOptions { bits, from, ..usual }));
+        if detail == Detail::Full {
+            all.push(plain(RowsOptions { bits, from: RowsFrom::Peel, ..usual }));
         }
+        all.push(plain(RowsOptions { bits, ..usual }));
     }
     for n in [30, 60] {
         all.push(plain(RowsOptions { directions: DirectionSet::LatLong { thetas: n, phis: n }, ..usual }));
@@ -101,8 +115,12 @@ pub fn variants() -> Vec<Variant> {
         (3, vec![Keep::All, core(0.25, 0.0)]),
     ];
     for (point_bits, keeps) in keeps {
-        all.extend(keeps.into_iter().map(|keep| Variant { options: usual, point_bits, keep }));
+        let keeps = keeps.into_iter().enumerate().filter(|(i, _)| detail == Detail::Full || i % 2 == 0);
+        all.extend(keeps.map(|(_, keep)| Variant { options: usual, point_bits, keep }));
     }
+    let octahedral = RowsOptions { directions: octahedral, ..usual };
+    all.push(Variant { options: octahedral, point_bits: 1, keep: Keep::All });
+    all.push(Variant { options: octahedral, point_bits: 1, keep: core(0.125, 0.0) });
     all
 }
 
@@ -118,7 +136,8 @@ struct Base {
     fit: Fit,
     bits: u32,
     frames: Vec<DirectionFrame>,
-    peeled: Vec<u32>,
+    /// `None` where no variant peels.
+    peeled: Option<Vec<u32>>,
     seconds: [f64; 2],
 }
 
@@ -139,28 +158,29 @@ impl Answers {
 
 /// Biases that every variant is also asked with: voxels along the normal, and over the cosine voxels skipped and the
 /// longest run.
-const BIASES: [[f64; 3]; 21] = [
+const BIASES: [[f64; 3]; 22] = [
     [0.0, 0.0, 0.0],
     [1.0, 0.0, 0.0],
     [1.5, 0.0, 0.0],
+    [1.75, 0.0, 0.0],
     [2.0, 0.0, 0.0],
+    [2.25, 0.0, 0.0],
+    [2.5, 0.0, 0.0],
+    [3.0, 0.0, 0.0],
     [0.0, 0.5, 0.0],
     [0.5, 0.5, 0.0],
     [1.0, 0.25, 0.0],
     [1.0, 0.5, 0.0],
+    [1.5, 0.125, 0.0],
     [1.5, 0.25, 0.0],
     [1.5, 0.5, 0.0],
+    [2.0, 0.125, 0.0],
     [1.0, 1.0, 0.0],
-    [0.0, 0.0, 1.0],
-    [0.0, 0.0, 2.0],
     [0.5, 0.0, 1.0],
     [0.5, 0.0, 2.0],
-    [1.0, 0.0, 0.5],
     [1.0, 0.0, 1.0],
-    [1.0, 0.0, 2.0],
     [1.5, 0.0, 0.5],
-    [1.5, 0.0, 1.0],
-    [0.5, 0.25, 1.0],
+    [1.75, 0.0, 0.25],
 ];
 
 /// Measures `variants` on a scene: a table of them, and one of origin biases on the default grid.
@@ -219,12 +239,16 @@ pub fn run(
         }
         let rays = rays.iter().find(|r| r.set == set).expect("made above");
         if !bases.iter().any(|b| (b.set, b.fit, b.bits) == (set, fit, bits)) {
-            bases.push(Base::new(scene, variant.options, rays));
+            let same = |v: &Variant| {
+                let o = v.options;
+                (o.directions, o.fit, o.bits) == (set, fit, bits) && o.from == RowsFrom::Peel
+            };
+            bases.push(Base::new(scene, variant.options, rays, variants.iter().any(same)));
         }
         let base = bases.iter().find(|b| (b.set, b.fit, b.bits) == (set, fit, bits)).expect("made above");
 
         let (rows, points, seconds) = if from == RowsFrom::Peel {
-            (base.peeled.clone(), 0, base.seconds)
+            (base.peeled.clone().expect("peeled for this variant"), 0, base.seconds)
         } else {
             // Variants that differ by the points they keep stand together and share a plan.
             let key = (variant.options, variant.point_bits);
@@ -249,10 +273,14 @@ pub fn run(
             (bias, ask(scene, rays, base, bits, &rows, bias_of))
         });
         let best = biased.iter().min_by_key(|(_, answers)| answers.wrong()).expect("there are biases");
-        let count = |f: fn(u32, u32) -> u32| -> u64 {
-            rows.iter().zip(&base.peeled).map(|(&a, &b)| u64::from(f(a, b).count_ones())).sum()
-        };
-        let peeled = count(|_, b| b);
+        let count =
+            |words: &mut dyn Iterator<Item = u32>| words.map(|w| u64::from(w.count_ones())).sum::<u64>();
+        let set_bits = count(&mut rows.iter().copied());
+        let [missed, beyond] = base.peeled.as_ref().map_or([Cell::None, Cell::None], |peeled| {
+            let in_peel = count(&mut peeled.iter().copied());
+            let missed = count(&mut rows.iter().zip(peeled).map(|(a, b)| b & !a));
+            [Cell::percent(missed, in_peel), Cell::percent(set_bits + missed - in_peel, in_peel)]
+        });
         table.push(vec![
             Cell::Text(from.to_string()),
             fit_name(fit).into(),
@@ -266,9 +294,9 @@ pub fn run(
             Cell::percent(best.1.wrong(), best.1.rays),
             Cell::Text(best.0.map(|b| b.to_string()).join("/")),
             Cell::percent(answers.occluded, answers.rays),
-            Cell::Count(count(|a, _| a) / base.frames.len() as u64),
-            Cell::percent(count(|a, b| b & !a), peeled),
-            Cell::percent(count(|a, b| a & !b), peeled),
+            Cell::Count(set_bits / base.frames.len() as u64),
+            missed,
+            beyond,
             if from == RowsFrom::Peel { Cell::None } else { Cell::Count(points as u64) },
             milliseconds(seconds[0]),
             milliseconds(seconds[1]),
@@ -319,11 +347,17 @@ fn new_plan<'a>(scene: &'a BenchScene, variant: &Variant) -> RowsPlan<'a> {
 }
 
 impl Base {
-    fn new(scene: &BenchScene, options: RowsOptions, rays: &Rays) -> Self {
+    fn new(scene: &BenchScene, options: RowsOptions, rays: &Rays, peel: bool) -> Self {
         let options = RowsOptions { from: RowsFrom::Peel, ..options };
         let plan = RowsPlan::new(options, scene.lattice, &scene.row_triangles, &scene.cutouts);
         let frames: Vec<_> = rays.bundles.iter().map(|b| plan.frames[b.index as usize]).collect();
-        let (peeled, seconds) = timed(&frames, |frames| plan.block(frames));
+        let (peeled, seconds) = match peel {
+            true => {
+                let (peeled, seconds) = timed(&frames, |frames| plan.block(frames));
+                (Some(peeled), seconds)
+            }
+            false => (None, [f64::NAN; 2]),
+        };
         let RowsOptions { bits, directions: set, fit, .. } = options;
         Self { set, fit, bits, frames, peeled, seconds }
     }
@@ -335,8 +369,7 @@ fn timed(
     voxelize: impl Fn(&[DirectionFrame]) -> Vec<u32> + Sync,
 ) -> (Vec<u32>, [f64; 2]) {
     let few = &frames[..frames.len().min(3)];
-    // Once to warm the caches; the better of two, because machines are shared.
-    voxelize(&few[..few.len().min(1)]);
+    // The better of two, because the first finds cold caches and machines are shared.
     let single = (0..2)
         .map(|_| {
             let clock = Instant::now();
@@ -481,7 +514,8 @@ mod tests {
 
     #[test]
     fn the_list_has_every_source_and_no_variant_twice() {
-        let all = variants();
+        let all = variants(Detail::Full);
+        assert!(variants(Detail::Brief).iter().all(|v| all.contains(v)));
         for (i, variant) in all.iter().enumerate() {
             assert!(!all[..i].contains(variant));
         }

@@ -23,6 +23,9 @@ pub(crate) struct Args {
     /// Rays per direction
     #[arg(long, value_name = "N", default_value_t = 1024, value_parser = clap::value_parser!(u32).range(1..=1 << 20))]
     rays: u32,
+    /// Measure every combination of source, grid and direction set, not only those around the default
+    #[arg(long)]
+    full: bool,
     /// Seed of directions and rays
     #[arg(long, value_name = "S", default_value_t = 1)]
     seed: u64,
@@ -58,7 +61,8 @@ pub(crate) fn run(
     if wanted(TableName::Rows) {
         let Args { directions, rays, seed, .. } = *args;
         let settings = rows::RowsSettings { directions, rays, seed, bias: OriginBias::default() };
-        let variants = rows::variants();
+        let detail = if args.full { rows::Detail::Full } else { rows::Detail::Brief };
+        let variants = rows::variants(detail);
         for source in &args.scenes {
             let scene = BenchScene::load(source)?;
             for table in rows::run(&scene, &variants, &settings, progress)? {
@@ -67,4 +71,42 @@ pub(crate) fn run(
         }
     }
     Ok(())
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use clap::Parser;
+    use manyview_pipeline::bake::Silent;
+
+    #[derive(clap::Parser)]
+    struct Command {
+        #[command(flatten)]
+        args: Args,
+    }
+
+    fn parse(arguments: &[&str]) -> Result<Args, clap::Error> {
+        Command::try_parse_from(["bench"].iter().chain(arguments)).map(|command| command.args)
+    }
+
+    #[test]
+    fn tables_and_scenes_are_named() {
+        let args = parse(&["rows", "--scene", "a.glb", "--scene", "city:2000", "--rays", "9"]).unwrap();
+        assert_eq!((args.tables, args.scenes.len(), args.rays), (vec![TableName::Rows], 2, 9));
+        assert!(parse(&["columns"]).is_err() && parse(&["--scene", "city:x"]).is_err());
+        assert!(parse(&["--directions", "0"]).is_err());
+    }
+
+    #[test]
+    fn a_table_is_printed_or_written() {
+        let mut printed = String::new();
+        run(&parse(&["voxels", "--scene", "town:1000"]).unwrap(), &Silent, |text| printed += text).unwrap();
+        assert!(printed.contains("| town:1000 | 7 |"), "{printed}");
+        let folder = tempfile::tempdir().unwrap();
+        let out = folder.path().to_str().unwrap();
+        run(&parse(&["voxels", "--scene", "town:1000", "-o", out]).unwrap(), &Silent, |_| panic!()).unwrap();
+        assert!(folder.path().join("voxels.csv").exists());
+        let missing = run(&parse(&["voxels", "--scene", "no.glb"]).unwrap(), &Silent, |_| ());
+        assert!(missing.unwrap_err().to_string().contains("no.glb"));
+    }
 }
