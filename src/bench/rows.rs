@@ -110,6 +110,7 @@ pub fn variants(detail: Detail) -> Vec<Variant> {
     }
     let core = |across, along| Keep::Core { across, along };
     let keeps = [
+        (0, vec![Keep::All]),
         (1, vec![Keep::All, core(0.125, 0.0), core(0.1875, 0.0), core(0.25, 0.0), Keep::AtLeast(2)]),
         (2, vec![core(0.125, 0.0), core(0.25, 0.0), core(0.125, 0.125), Keep::AtLeast(4)]),
         (3, vec![Keep::All, core(0.25, 0.0)]),
