@@ -13,6 +13,7 @@ pub mod rows;
 mod scene;
 mod segments;
 mod table;
+pub mod variants;
 pub mod voxels;
 
 pub use random::Random;

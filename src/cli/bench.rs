@@ -1,5 +1,6 @@
 //! `manyview bench`.
 
+use manyview::bench::variants::{Detail, variants};
 use manyview::bench::{BenchError, BenchScene, SceneSource, Table, rows, voxels};
 use manyview::rays::OriginBias;
 use manyview_pipeline::bake::Progress;
@@ -61,8 +62,8 @@ pub(crate) fn run(
     if wanted(TableName::Rows) {
         let Args { directions, rays, seed, .. } = *args;
         let settings = rows::RowsSettings { directions, rays, seed, bias: OriginBias::default() };
-        let detail = if args.full { rows::Detail::Full } else { rows::Detail::Brief };
-        let variants = rows::variants(detail);
+        let detail = if args.full { Detail::Full } else { Detail::Brief };
+        let variants = variants(detail);
         for source in &args.scenes {
             let scene = BenchScene::load(source)?;
             for table in rows::run(&scene, &variants, &settings, progress)? {
