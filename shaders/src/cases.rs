@@ -198,7 +198,7 @@ pub fn frames(count: u32) -> Vec<DirectionFrame> {
             let index = (i * 2_654_435) % set.count();
             let extents = extents_along(set.frame(index), &lattice, &[[[-corner; 3], [corner; 3]]]);
             let fit = if i % 2 == 0 { Fit::Extent } else { Fit::Cube };
-            DirectionFrame::new(set, index, &lattice, fit, extents)
+            DirectionFrame::new(set.frame(index), &lattice, fit, extents)
         })
         .collect()
 }
