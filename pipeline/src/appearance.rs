@@ -245,7 +245,7 @@ impl MipChain {
                         }
                     }
                     texels.push([0, 1, 2].map(|c| {
-                        let mean = if alpha > 0 { (sum[c] + alpha / 2) / alpha } else { (plain[c] + 2) / 4 };
+                        let mean = (sum[c] + alpha / 2).checked_div(alpha).unwrap_or((plain[c] + 2) / 4);
                         srgb_from_linear(mean as u16)
                     }));
                     next_alphas.push(((alpha + 2) / 4) as u8);

@@ -25,6 +25,8 @@ fn shared(folder: &str) -> Option<PathBuf> {
 fn odd_files_draw_as_many_triangles_as_other_tools_say() {
     let Some(folder) = shared("conformance") else { return };
     let table = fs_err::read_to_string(folder.join("expected.tsv")).unwrap();
+    // One file is known to differ: its Draco streams hold fewer triangles, by Google's own decoder, too, than its
+    // accessors claim, which the table counts.
     let mut count = 0;
     let mut refused = 0;
     let mut failures = Vec::new();
@@ -77,6 +79,76 @@ fn broken_files_are_refused_or_forgiven_in_bounded_time() {
         }
     }
     assert!(count > 200, "{count} files only");
+}
+
+/// The same model as text and binary, plain, quantized, packed by Draco and by meshoptimizer, must fill the same space.
+#[test]
+fn variants_of_a_model_have_the_same_bounds() {
+    const TOLERANCE: f64 = 0.01;
+    let Some(folder) = shared("conformance") else { return };
+    let table = fs_err::read_to_string(folder.join("expected.tsv")).unwrap();
+    let mut first: Option<(String, glam::DVec3, glam::DVec3)> = None;
+    let mut compared = 0;
+    for file in table.lines().filter_map(|line| line.split('\t').next()) {
+        let parts: Vec<&str> = file.split('/').collect();
+        let model = match parts[..] {
+            ["khronos-sample-assets", model, ..] => model.to_owned(),
+            ["gltf-pipeline", "extensions", name, ..] if name.contains("meshopt") => "meshopt".to_owned(),
+            _ => continue,
+        };
+        let scene = import(&folder.join(file), &ImportOptions::default()).unwrap().scene;
+        let Some((low, high)) = scene.bounds() else { continue };
+        match &first {
+            Some((known, known_low, known_high)) if *known == model => {
+                let tolerance = TOLERANCE * (*known_high - *known_low).max_element();
+                let same = low.abs_diff_eq(*known_low, tolerance) && high.abs_diff_eq(*known_high, tolerance);
+                assert!(same, "{file} fills {low} to {high}, another variant {known_low} to {known_high}");
+                compared += 1;
+            }
+            _ => first = Some((model, low, high)),
+        }
+    }
+    assert!(compared > 30, "{compared} pairs only");
+}
+
+/// Damages binary files in many places: whatever comes of it, the importer returns.
+#[test]
+fn damaged_files_are_refused_or_forgiven_in_bounded_time() {
+    const MAX_BYTES: usize = 200_000;
+    const DAMAGES_PER_FILE: u64 = 10;
+    let Some(folder) = shared("conformance") else { return };
+    let table = fs_err::read_to_string(folder.join("expected.tsv")).unwrap();
+    let files =
+        table.lines().filter_map(|line| line.split('\t').next()).filter(|file| file.ends_with(".glb"));
+    let temporary = tempfile::tempdir().unwrap();
+    let path = temporary.path().join("damaged.glb");
+    let options =
+        ImportOptions { time_seconds: Some(0.5), max_memory_bytes: 1 << 30, ..ImportOptions::default() };
+    let mut state = 1_u64;
+    let mut random = move |below: usize| {
+        state = state.wrapping_mul(6_364_136_223_846_793_005).wrapping_add(1_442_695_040_888_963_407);
+        (state >> 33) as usize % below
+    };
+    let mut count = 0;
+    for file in files {
+        let bytes = fs_err::read(folder.join(file)).unwrap();
+        if bytes.len() > MAX_BYTES {
+            continue;
+        }
+        for _ in 0..DAMAGES_PER_FILE {
+            let mut damaged = bytes.clone();
+            for _ in 0..1 + random(4) {
+                let at = random(damaged.len());
+                damaged[at] = random(256) as u8;
+            }
+            fs_err::write(&path, &damaged).unwrap();
+            let start = Instant::now();
+            let _either = import(&path, &options);
+            assert!(start.elapsed() < Duration::from_secs(10), "{file} took {:?}", start.elapsed());
+            count += 1;
+        }
+    }
+    assert!(count > 300, "{count} damages only");
 }
 
 #[test]

@@ -5,7 +5,7 @@
 
 use crate::directions::DirectionFrame;
 use crate::masks::{AlphaPlane, TriangleMask};
-use crate::raster::{Grid, VoxelBox};
+use crate::raster::{Fragment, Grid, VoxelBox};
 use bytemuck::{Pod, Zeroable};
 use thiserror::Error;
 
@@ -37,6 +37,16 @@ pub struct PackedFragment {
     pub triangle: u32,
     /// Weights of vertices 1 and 2 (at most 2^15 each): bits 0–15 and 16–31.
     pub barycentric: u32,
+}
+
+impl PackedFragment {
+    /// Packs a fragment of triangle `triangle` in a box whose smallest corner is `corner`.
+    #[inline]
+    pub fn new(fragment: Fragment, corner: [i32; 3], triangle: u32) -> Self {
+        let [x, y, z] = [0, 1, 2].map(|i| (fragment.voxel[i] - corner[i]) as u32);
+        let [b1, b2] = fragment.barycentric;
+        Self { voxel: x | y << 10 | z << 20, triangle, barycentric: b1 | b2 << 16 }
+    }
 }
 
 /// Triangles to voxelize and how they are cut.

@@ -1,7 +1,7 @@
 //! Sampled ray directions, and the row frame of each.
 //!
 //! # Theory
-//! [WMP] §3 samples all ray directions (a direction and its opposite share rows) and voxelizes the scene once per
+//! \[WMP\] §3 samples all ray directions (a direction and its opposite share rows) and voxelizes the scene once per
 //! direction, in a frame whose third axis is the direction: *rows* run along it. A ray then lies almost inside one
 //! row of the voxelization whose direction is nearest.
 //!

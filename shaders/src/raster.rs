@@ -1,7 +1,7 @@
 //! Which voxels a triangle covers, decided in integers.
 //!
 //! # Theory
-//! [WMP] Algorithm 1 and the scene octree of [MV] both voxelize by rendering the triangles orthographically along the
+//! \[WMP\] Algorithm 1 and the scene octree of \[MV\] both voxelize by rendering the triangles orthographically along the
 //! three grid axes and keeping every depth layer. A fragment exists where a pixel centre lies in the projected
 //! triangle (top-left rule on shared edges); its voxel is the floor of the plane's depth there.
 //!
@@ -185,6 +185,15 @@ impl Raster {
             pixel_max,
             swapped,
         })
+    }
+
+    /// Smallest and largest pixel (inclusive; largest < smallest if there is none) that [`Self::fragments`] looks at.
+    pub fn pixels(&self, clip: &VoxelBox) -> [[i32; 2]; 2] {
+        let (x, y) = ((self.axis + 1) % 3, (self.axis + 2) % 3);
+        [
+            [self.pixel_min[0].max(clip.min[x]), self.pixel_min[1].max(clip.min[y])],
+            [self.pixel_max[0].min(clip.max[x] - 1), self.pixel_max[1].min(clip.max[y] - 1)],
+        ]
     }
 
     /// Visits every fragment inside `clip`, row by row.

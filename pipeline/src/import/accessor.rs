@@ -127,7 +127,7 @@ impl<'a> Accessor<'a> {
             width,
             component: Component::parse(&object)?,
             normalized: object.boolean("normalized").unwrap_or(false),
-            view: object.index("bufferView")?,
+            view: object.reference("bufferView", &resources.root, "bufferViews")?,
             offset: object.index("byteOffset")?.unwrap_or(0),
             object,
         };
@@ -278,6 +278,7 @@ impl<'a> Accessor<'a> {
                 sparse.malformed(format!("{count} elements replace more than there are, {}", self.count))
             );
         }
+        resources.charge(count as u64 * 8, &sparse.place())?;
         let part = |key: &str| sparse.object(key)?.ok_or_else(|| sparse.malformed_at(key, "is missing"));
         let (indices, values) = (part("indices")?, part("values")?);
         let at = |part: &Json<'_>| {

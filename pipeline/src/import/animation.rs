@@ -49,7 +49,7 @@ impl Pose {
             let target =
                 channel.object("target")?.ok_or_else(|| channel.malformed_at("target", "is missing"))?;
             let path = target.string("path")?;
-            let Some(node_index) = target.index("node")? else {
+            let Some(node_index) = target.reference("node", &resources.root, "nodes")? else {
                 if path == Some("pointer") {
                     resources.warn(format!("{}: KHR_animation_pointer is ignored", target.place()));
                 }
@@ -81,7 +81,7 @@ impl Pose {
 
 /// Morph targets of the node's mesh.
 fn morph_target_count(resources: &Resources<'_>, node: &Json<'_>) -> Result<usize, ImportError> {
-    let Some(mesh) = node.index("mesh")? else { return Ok(0) };
+    let Some(mesh) = node.reference("mesh", &resources.root, "meshes")? else { return Ok(0) };
     let mesh = resources.root.item("meshes", mesh)?;
     if mesh.len("primitives")? == 0 { Ok(0) } else { mesh.item("primitives", 0)?.len("targets") }
 }

@@ -16,6 +16,10 @@ use std::collections::BTreeMap;
 /// Which deformation of a glTF mesh a scene mesh is: the mesh's index, and the bits of its morph weights.
 type Variant = (usize, Vec<u32>);
 
+/// Memory of a primitive beside its attributes. Counting it for primitives that draw nothing, too, bounds the time that
+/// many nodes with one mesh of many primitives can take.
+const PRIMITIVE_BYTES: u64 = 512;
+
 /// Reads everything that the document's scene draws.
 pub(super) fn assemble(resources: &Resources<'_>, options: &ImportOptions) -> Result<Scene, ImportError> {
     let pose = match options.time_seconds {
@@ -30,6 +34,7 @@ pub(super) fn assemble(resources: &Resources<'_>, options: &ImportOptions) -> Re
         graph: &graph,
         materials: Materials::default(),
         known: BTreeMap::new(),
+        target_counts: BTreeMap::new(),
         scene: Scene::default(),
         drawn_triangles: 0,
     };
@@ -49,6 +54,8 @@ struct Assembler<'r, 'a> {
     materials: Materials,
     /// Scene meshes of the variants met so far.
     known: BTreeMap<Variant, Vec<u32>>,
+    /// Morph targets of the glTF meshes met so far.
+    target_counts: BTreeMap<usize, usize>,
     scene: Scene,
     drawn_triangles: u64,
 }
@@ -58,10 +65,10 @@ impl Assembler<'_, '_> {
         let node = self.resources.root.item("nodes", index)?;
         let world_from_node = self.graph.world_from_node[index];
         self.scene.lights.extend(lights::load(self.resources, &node, world_from_node)?);
-        let Some(mesh_index) = node.index("mesh")? else { return Ok(()) };
+        let Some(mesh_index) = node.reference("mesh", &self.resources.root, "meshes")? else { return Ok(()) };
         let mesh = self.resources.root.item("meshes", mesh_index)?;
-        let weights = self.weights(index, &node, &mesh)?;
-        if let Some(skin) = node.index("skin")? {
+        let weights = self.weights(index, &node, mesh_index, &mesh)?;
+        if let Some(skin) = node.reference("skin", &self.resources.root, "skins")? {
             // Joints place a skinned mesh; the node's own transform counts for nothing.
             let skin = Skin::load(self.resources, self.graph, skin)?;
             let meshes = self.load(&mesh, &weights, Some(&skin))?;
@@ -90,11 +97,24 @@ impl Assembler<'_, '_> {
     }
 
     /// Morph weights of a node: the animation's, or its own, or the mesh's, or none.
-    fn weights(&self, index: usize, node: &Json<'_>, mesh: &Json<'_>) -> Result<Vec<f32>, ImportError> {
-        let mut targets = 0;
-        for primitive in mesh.items("primitives")? {
-            targets = targets.max(primitive.len("targets")?);
-        }
+    fn weights(
+        &mut self,
+        index: usize,
+        node: &Json<'_>,
+        mesh_index: usize,
+        mesh: &Json<'_>,
+    ) -> Result<Vec<f32>, ImportError> {
+        let targets = match self.target_counts.get(&mesh_index) {
+            Some(targets) => *targets,
+            None => {
+                let mut targets = 0;
+                for primitive in mesh.items("primitives")? {
+                    targets = targets.max(primitive.len("targets")?);
+                }
+                self.target_counts.insert(mesh_index, targets);
+                targets
+            }
+        };
         if targets == 0 {
             return Ok(Vec::new());
         }
@@ -108,6 +128,7 @@ impl Assembler<'_, '_> {
                 weights.unwrap_or_default().into_iter().map(|weight| weight as f32).collect()
             }
         };
+        self.resources.charge(targets as u64 * 4, &node.place())?;
         weights.resize(targets, 0.0);
         Ok(weights)
     }
@@ -120,8 +141,12 @@ impl Assembler<'_, '_> {
         skin: Option<&Skin>,
     ) -> Result<Vec<u32>, ImportError> {
         let mut meshes = Vec::new();
-        for primitive in mesh.items("primitives")? {
-            let material = self.materials.get(self.resources, primitive.index("material")?)?;
+        let primitives = mesh.items("primitives")?;
+        self.resources.charge(primitives.len() as u64 * PRIMITIVE_BYTES, &mesh.place())?;
+        for primitive in primitives {
+            let material = self
+                .materials
+                .get(self.resources, primitive.reference("material", &self.resources.root, "materials")?)?;
             let Some(mut loaded) =
                 geometry::load(self.resources, &primitive, material, weights, skin.is_some())?
             else {

@@ -38,16 +38,16 @@ impl Skin {
     /// Skin `index` of the document, in the pose of `graph`.
     pub(super) fn load(resources: &Resources<'_>, graph: &Graph, index: usize) -> Result<Self, ImportError> {
         let skin = resources.root.item("skins", index)?;
-        let joints = skin.indices("joints")?;
+        let joints = skin.references("joints", &resources.root, "nodes")?;
         if joints.is_empty() {
             return Err(skin.malformed_at("joints", "must name at least one node"));
         }
+        resources.charge(joints.len() as u64 * size_of::<DMat4>() as u64, &skin.place())?;
         let mut world_from_bind = Vec::with_capacity(joints.len());
         for joint in &joints {
-            resources.root.item("nodes", *joint)?;
             world_from_bind.push(graph.world_from_node[*joint]);
         }
-        if let Some(inverse) = skin.index("inverseBindMatrices")? {
+        if let Some(inverse) = skin.reference("inverseBindMatrices", &resources.root, "accessors")? {
             let accessor = Accessor::parse(resources, inverse)?;
             if accessor.width != 16 || accessor.count < joints.len() {
                 return Err(accessor

@@ -7,7 +7,7 @@ use std::path::PathBuf;
 #[derive(Debug, thiserror::Error)]
 pub enum ImportError {
     /// A file is missing, is no file, or may not be read.
-    #[error("{file}: {place} ({}) cannot be read: {source}; check that the file is there and readable", path.display())]
+    #[error("{file}: {place} cannot be read: {source}; check that the file is there and readable")]
     Unreadable {
         /// The scene file.
         file: String,
@@ -15,7 +15,7 @@ pub enum ImportError {
         path: PathBuf,
         /// What refers to it, such as `buffers[0].uri`.
         place: String,
-        /// The operating system's answer.
+        /// The operating system's answer, which names the path.
         source: io::Error,
     },
     /// A URI leaves the scene's folder, by its text or through a symbolic link.

@@ -50,7 +50,7 @@ pub(super) fn check(root: &Json<'_>, animated: bool) -> Result<(), ImportError> 
 
 fn way_out(name: &str) -> String {
     match name {
-        "KHR_texture_basisu" | "EXT_texture_avif" | "MSFT_texture_dds" => {
+        name if name.contains("_texture_") => {
             "export the scene with PNG, JPEG or WebP textures, or convert them, say with `gltf-transform png in.glb out.glb`"
         }
         "CESIUM_RTC" => "export the scene with an ordinary root transform instead",

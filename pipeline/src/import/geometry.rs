@@ -132,7 +132,7 @@ impl<'r, 'a> Attributes<'r, 'a> {
         attributes: Json<'a>,
         weights: &[f32],
     ) -> Result<Option<Self>, ImportError> {
-        let Some(position) = attributes.index("POSITION")? else {
+        let Some(position) = attributes.reference("POSITION", &resources.root, "accessors")? else {
             resources.warn(format!("{}: has no positions, so nothing is drawn", primitive.place()));
             return Ok(None);
         };
@@ -157,7 +157,7 @@ impl<'r, 'a> Attributes<'r, 'a> {
     fn indices(&self, primitive: &Json<'a>) -> Result<Indices, ImportError> {
         let (indices, place) = if let Some((draco, _)) = &self.draco {
             (draco.indices(), primitive.place())
-        } else if let Some(index) = primitive.index("indices")? {
+        } else if let Some(index) = primitive.reference("indices", &self.resources.root, "accessors")? {
             let accessor = Accessor::parse(self.resources, index)?;
             let place = primitive.place_of("indices");
             (accessor.read_indices(self.resources, &place)?, format!("{place} ({})", accessor.place()))
@@ -221,7 +221,9 @@ impl<'r, 'a> Attributes<'r, 'a> {
 
     /// Numbers of the attribute `name` and how many a vertex has, morph targets added; `None` if it is missing.
     fn read(&self, name: &str, widths: &[usize]) -> Result<Option<(Vec<f32>, usize)>, ImportError> {
-        let Some(index) = self.attributes.index(name)? else { return Ok(None) };
+        let Some(index) = self.attributes.reference(name, &self.resources.root, "accessors")? else {
+            return Ok(None);
+        };
         let mut accessor = Accessor::parse(self.resources, index)?;
         let place = self.attributes.place_of(name);
         if !widths.contains(&accessor.width) {
@@ -236,7 +238,7 @@ impl<'r, 'a> Attributes<'r, 'a> {
             None => self.read_accessor(&accessor, &place)?,
         };
         for (target, weight) in &self.targets {
-            let Some(index) = target.index(name)? else { continue };
+            let Some(index) = target.reference(name, &self.resources.root, "accessors")? else { continue };
             let accessor = Accessor::parse(self.resources, index)?;
             let place = target.place_of(name);
             // Tangents lose their handedness in morph targets, so a narrower target is right for some attributes.

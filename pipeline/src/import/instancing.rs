@@ -14,7 +14,7 @@ pub(super) fn placements(resources: &Resources<'_>, node: &Json<'_>) -> Result<V
     let attributes = attributes.ok_or_else(|| extension.malformed_at("attributes", "is missing"))?;
     let mut count = None;
     let mut read = |name: &str, width: usize| -> Result<Option<Vec<f32>>, ImportError> {
-        let Some(index) = attributes.index(name)? else { return Ok(None) };
+        let Some(index) = attributes.reference(name, &resources.root, "accessors")? else { return Ok(None) };
         let accessor = Accessor::parse(resources, index)?;
         if accessor.width != width {
             return Err(

@@ -91,7 +91,7 @@ impl<'a> Json<'a> {
         let len = self.len(key)?;
         let place = self.place_of(&format!("{key}[{index}]"));
         let Some(value) = self.field(key).and_then(|array| array.get(index)) else {
-            let rule = format!("is referred to, but there are only {len} of them");
+            let rule = format!("does not exist; there are {len} {key}");
             return Err(ImportError::Malformed { file: self.file.to_owned(), place, rule });
         };
         let item = Json { value, file: self.file, place };
@@ -111,6 +111,45 @@ impl<'a> Json<'a> {
             whole(value).ok_or_else(|| self.malformed_at(key, "must hold non-negative integers only"))
         };
         array.iter().map(index).collect()
+    }
+
+    /// The index under `key` into the array `array` of the document `root`, which must have such an entry.
+    pub(super) fn reference(
+        &self,
+        key: &str,
+        root: &Json<'_>,
+        array: &str,
+    ) -> Result<Option<usize>, ImportError> {
+        let Some(index) = self.index(key)? else { return Ok(None) };
+        self.check_reference(key, index, root, array).map(Some)
+    }
+
+    /// The indices under `key` into the array `array` of the document `root`, which must have such entries.
+    pub(super) fn references(
+        &self,
+        key: &str,
+        root: &Json<'_>,
+        array: &str,
+    ) -> Result<Vec<usize>, ImportError> {
+        let indices = self.indices(key)?;
+        indices.into_iter().map(|index| self.check_reference(key, index, root, array)).collect()
+    }
+
+    fn check_reference(
+        &self,
+        key: &str,
+        index: usize,
+        root: &Json<'_>,
+        array: &str,
+    ) -> Result<usize, ImportError> {
+        let len = root.len(array)?;
+        if index < len {
+            return Ok(index);
+        }
+        Err(self.malformed_at(
+            key,
+            format!("refers to {array}[{index}], which does not exist; there are {len} {array}"),
+        ))
     }
 
     /// The array of strings under `key`; entries of other types are left out.

@@ -101,7 +101,7 @@ pub fn import(path: &Path, options: &ImportOptions) -> Result<Imported, ImportEr
     };
     let metadata = fs_err::metadata(path).map_err(unreadable)?;
     if !metadata.is_file() {
-        return Err(unreadable(std::io::Error::other("not a regular file")));
+        return Err(unreadable(std::io::Error::other(format!("`{}` is no regular file", path.display()))));
     }
     if metadata.len() > options.max_memory_bytes {
         return Err(ImportError::OverLimit {
@@ -115,12 +115,14 @@ pub fn import(path: &Path, options: &ImportOptions) -> Result<Imported, ImportEr
     }
     let bytes = fs_err::read(path).map_err(unreadable)?;
     let container = container::split(&file, &bytes)?;
-    let value =
-        serde_json::from_slice(&bytes[container.json.clone()]).map_err(|error| ImportError::Malformed {
+    let value = serde_json::from_slice(&bytes[container.json.clone()]).map_err(|error| {
+        let (line, column, text) = (error.line(), error.column(), error.to_string());
+        ImportError::Malformed {
             file: file.clone(),
-            place: format!("JSON line {}, column {}", error.line(), error.column()),
-            rule: error.to_string(),
-        })?;
+            place: format!("JSON line {line}, column {column}"),
+            rule: text.rsplit_once(" at line ").map_or(text.as_str(), |(rule, _)| rule).to_owned(),
+        }
+    })?;
     let root = Json::root(&file, &value);
     extensions::check(&root, options.time_seconds.is_some())?;
     let folder = path.parent().filter(|folder| !folder.as_os_str().is_empty()).unwrap_or(Path::new("."));

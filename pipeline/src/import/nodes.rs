@@ -21,7 +21,7 @@ impl Graph {
         let nodes = root.items("nodes")?;
         resources.charge(nodes.len() as u64 * 512, "nodes")?;
         let children: Vec<Vec<usize>> =
-            nodes.iter().map(|node| node.indices("children")).collect::<Result<_, _>>()?;
+            nodes.iter().map(|node| node.references("children", root, "nodes")).collect::<Result<_, _>>()?;
         let mut parents = vec![None; nodes.len()];
         for (parent, children) in children.iter().enumerate() {
             for child in children {
@@ -71,10 +71,9 @@ fn shown(
     let roots = if root.len("scenes")? == 0 {
         (0..nodes.len()).filter(|node| parents[*node].is_none()).collect()
     } else {
-        let scene = root.item("scenes", root.index("scene")?.unwrap_or(0))?;
-        let roots = scene.indices("nodes")?;
+        let scene = root.item("scenes", root.reference("scene", root, "scenes")?.unwrap_or(0))?;
+        let roots = scene.references("nodes", root, "nodes")?;
         for node in &roots {
-            root.item("nodes", *node)?;
             if let Some(parent) = parents[*node] {
                 let place = scene.place_of("nodes");
                 resources.warn(format!(

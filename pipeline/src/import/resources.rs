@@ -6,8 +6,11 @@ use super::meshopt;
 use super::uri::{self, Location};
 use super::{ImportOptions, SourceFile};
 use std::cell::{Cell, OnceCell, RefCell};
-use std::collections::BTreeMap;
+use std::collections::{BTreeMap, BTreeSet};
 use std::path::{Path, PathBuf};
+
+/// Most warnings that are kept; the rest is counted.
+const MAX_WARNINGS: usize = 100;
 
 /// Reads and keeps what a scene refers to, each thing once and only when it is needed.
 pub(super) struct Resources<'a> {
@@ -19,8 +22,16 @@ pub(super) struct Resources<'a> {
     buffers: Vec<OnceCell<Vec<u8>>>,
     views: Vec<OnceCell<Vec<u8>>>,
     files: RefCell<BTreeMap<String, SourceFile>>,
-    warnings: RefCell<Vec<String>>,
+    warnings: RefCell<Warnings>,
     used_bytes: Cell<u64>,
+}
+
+/// Warnings in the order in which they came up.
+#[derive(Debug, Default)]
+struct Warnings {
+    kept: Vec<String>,
+    known: BTreeSet<String>,
+    dropped: u64,
 }
 
 /// Bytes of a buffer view, and the distance between its elements if it tells one.
@@ -55,8 +66,10 @@ impl<'a> Resources<'a> {
     /// Says what was left out or forgiven; the same sentence only once.
     pub(super) fn warn(&self, sentence: String) {
         let mut warnings = self.warnings.borrow_mut();
-        if !warnings.contains(&sentence) {
-            warnings.push(sentence);
+        if warnings.kept.len() == MAX_WARNINGS {
+            warnings.dropped += 1;
+        } else if warnings.known.insert(sentence.clone()) {
+            warnings.kept.push(sentence);
         }
     }
 
@@ -68,7 +81,11 @@ impl<'a> Resources<'a> {
 
     /// All files and warnings so far.
     pub(super) fn finish(self) -> (Vec<SourceFile>, Vec<String>) {
-        (self.files.into_inner().into_values().collect(), self.warnings.into_inner())
+        let Warnings { mut kept, dropped, .. } = self.warnings.into_inner();
+        if dropped > 0 {
+            kept.push(format!("{dropped} more warnings are left out"));
+        }
+        (self.files.into_inner().into_values().collect(), kept)
     }
 
     /// Takes `bytes` from the memory that the import may use, before they are allocated.
@@ -110,7 +127,10 @@ impl<'a> Resources<'a> {
                 let read = (|| {
                     let metadata = fs_err::metadata(&path)?;
                     if !metadata.is_file() {
-                        return Err(std::io::Error::other("not a regular file"));
+                        return Err(std::io::Error::other(format!(
+                            "`{}` is no regular file",
+                            path.display()
+                        )));
                     }
                     Ok(metadata.len())
                 })();

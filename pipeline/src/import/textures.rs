@@ -8,6 +8,7 @@ use glam::Vec2;
 use image::ImageReader;
 use rayon::prelude::*;
 use std::borrow::Cow;
+use std::collections::BTreeMap;
 use std::io::Cursor;
 
 /// Texels beyond this number must be backed by encoded bytes.
@@ -77,6 +78,8 @@ struct Request {
 #[derive(Debug, Default)]
 pub(super) struct Textures {
     requests: Vec<Request>,
+    /// Positions of requests by images and wrap modes.
+    known: BTreeMap<(Vec<usize>, [u8; 2]), u32>,
 }
 
 impl Textures {
@@ -87,13 +90,14 @@ impl Textures {
         reference: &Json<'_>,
     ) -> Result<(Option<u32>, UvUse), ImportError> {
         let uv = UvUse::parse(reference)?;
-        let texture = resources.root.item("textures", reference.required_index("index")?)?;
-        let webp =
-            texture.extension("EXT_texture_webp").map(|webp| webp.index("source")).transpose()?.flatten();
-        let images: Vec<usize> = webp.into_iter().chain(texture.index("source")?).collect();
-        for image in &images {
-            resources.root.item("images", *image)?;
-        }
+        let texture = resources.root.item("textures", texture_index(resources, reference)?)?;
+        let webp = texture
+            .extension("EXT_texture_webp")
+            .map(|webp| webp.reference("source", &resources.root, "images"))
+            .transpose()?
+            .flatten();
+        let images: Vec<usize> =
+            webp.into_iter().chain(texture.reference("source", &resources.root, "images")?).collect();
         if images.is_empty() {
             let extensions = texture.object("extensions")?.map(|extensions| extensions.keys().join(", "));
             let why = extensions
@@ -101,19 +105,18 @@ impl Textures {
             resources.warn(format!("{}: has {why}; the factor is used alone", texture.place()));
             return Ok((None, uv));
         }
-        let wrap = match texture.index("sampler")? {
+        let wrap = match texture.reference("sampler", &resources.root, "samplers")? {
             None => [Wrap::Repeat; 2],
             Some(sampler) => {
                 let sampler = resources.root.item("samplers", sampler)?;
                 [wrap(resources, &sampler, "wrapS")?, wrap(resources, &sampler, "wrapT")?]
             }
         };
-        let known = self.requests.iter().position(|request| request.images == images && request.wrap == wrap);
-        let index = known.unwrap_or_else(|| {
+        let index = *self.known.entry((images.clone(), wrap.map(|wrap| wrap as u8))).or_insert_with(|| {
             self.requests.push(Request { place: texture.place(), images, wrap });
-            self.requests.len() - 1
+            self.requests.len() as u32 - 1
         });
-        Ok((Some(index as u32), uv))
+        Ok((Some(index), uv))
     }
 
     /// Decodes all textures; those that fail are `None`, and a warning says why.
@@ -158,6 +161,11 @@ impl Textures {
     }
 }
 
+fn texture_index(resources: &Resources<'_>, reference: &Json<'_>) -> Result<usize, ImportError> {
+    let index = reference.reference("index", &resources.root, "textures")?;
+    index.ok_or_else(|| reference.malformed_at("index", "is missing"))
+}
+
 fn wrap(resources: &Resources<'_>, sampler: &Json<'_>, key: &str) -> Result<Wrap, ImportError> {
     Ok(match sampler.index(key)? {
         None | Some(10497) => Wrap::Repeat,
@@ -176,16 +184,20 @@ fn prepare<'r>(
     index: usize,
 ) -> Result<Result<Cow<'r, [u8]>, String>, ImportError> {
     let image = resources.root.item("images", index)?;
-    let loaded = match (image.index("bufferView")?, image.string("uri")?) {
+    let loaded = match (image.reference("bufferView", &resources.root, "bufferViews")?, image.string("uri")?)
+    {
         (Some(view), _) => resources.view(view).map(|view| Cow::Borrowed(view.bytes)),
         (None, Some(uri)) => resources.load(&image.place_of("uri"), uri).map(Cow::Owned),
         (None, None) => Err(image.malformed("has neither uri nor bufferView")),
     };
     let bytes = match loaded {
         Ok(bytes) => bytes,
-        Err(error @ (ImportError::Unreadable { .. } | ImportError::Malformed { .. })) => {
-            return Ok(Err(error.to_string()));
+
+        // Warnings are part of the scene, so no path of this machine may be in them.
+        Err(ImportError::Unreadable { place, source, .. }) => {
+            return Ok(Err(format!("{place} cannot be read: {}", source.kind())));
         }
+        Err(ImportError::Malformed { place, rule, .. }) => return Ok(Err(format!("{place}: {rule}"))),
         Err(error) => return Err(error),
     };
     let size =
@@ -246,5 +258,15 @@ mod tests {
         // (1, 0) scales to (2, 0); a quarter turn counter-clockwise, v down, makes it (0, -2).
         assert!(uv.apply([1.0, 0.0]).abs_diff_eq(Vec2::new(10.0, 18.0), 1e-6));
         assert!(uv.apply([0.0, 1.0]).abs_diff_eq(Vec2::new(13.0, 20.0), 1e-6));
+    }
+
+    #[test]
+    fn rotation_turns_the_way_of_the_khronos_test_model() {
+        // TextureTransformTest: turned by 22.5 degrees, the arrow's tip, at (7/9, 7/9) of its image, must show up at the
+        // marker "correct", which is 0.0790 left of and 0.5163 below the middle of the quad.
+        let json =
+            json!({"extensions": {"KHR_texture_transform": {"rotation": std::f64::consts::FRAC_PI_8}}});
+        let uv = UvUse::parse(&Json::root("s.gltf", &json)).unwrap();
+        assert!(uv.apply([0.5 - 0.0790, 0.5 + 0.5163]).abs_diff_eq(Vec2::splat(7.0 / 9.0), 1e-3));
     }
 }

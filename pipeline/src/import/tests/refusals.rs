@@ -65,8 +65,11 @@ fn nodes_that_are_no_forest() {
         (json!([{"mesh": 0}, {"children": [2]}, {"children": [3]}, {"children": [1]}]), "cycle"),
         (json!([{"children": [2]}, {"children": [2]}, {"mesh": 0}]), "one parent"),
         (json!([{"children": [1, 1]}, {"mesh": 0}]), "one parent"),
-        (json!([{"children": [7]}]), "nodes[7]"),
-        (json!([{"mesh": 1}]), "meshes[1]"),
+        (json!([{"children": [7]}]), "nodes[0].children: refers to nodes[7]"),
+        (
+            json!([{"mesh": 1}]),
+            "nodes[0].mesh: refers to meshes[1], which does not exist; there are 1 meshes",
+        ),
     ];
     for (nodes, part) in cases {
         let mut builder = Builder::triangle();

@@ -1,0 +1,373 @@
+//! Recordings of stages, and what can run them.
+//!
+//! Code that wants work done on a GPU allocates buffers on an [`Executor`], fills a [`Recording`] and runs it. It
+//! never sees a GPU API: [`CpuExecutor`] runs the twin of every stage, another executor the shaders.
+
+use crate::device::DeviceError;
+use crate::stages::{BindingKind, Kind, Stage};
+use bytemuck::Pod;
+use std::collections::BTreeMap;
+
+/// A buffer of 32-bit words on an executor.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, PartialOrd, Ord)]
+pub struct BufferId(pub u32);
+
+/// A depth image (one 32-bit float per pixel) on an executor.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, PartialOrd, Ord)]
+pub struct DepthId(pub u32);
+
+/// What a stage is given.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub enum Binding {
+    /// A buffer.
+    Buffer(BufferId),
+    /// A depth image to read.
+    Depth(DepthId),
+}
+
+impl From<BufferId> for Binding {
+    fn from(id: BufferId) -> Self {
+        Binding::Buffer(id)
+    }
+}
+
+impl From<DepthId> for Binding {
+    fn from(id: DepthId) -> Self {
+        Binding::Depth(id)
+    }
+}
+
+/// One step of a [`Recording`].
+#[derive(Debug)]
+pub enum Command<'a> {
+    /// Copies bytes (a multiple of four) to the start of a buffer.
+    Upload {
+        /// Where to.
+        buffer: BufferId,
+        /// What.
+        bytes: &'a [u8],
+    },
+    /// Sets a buffer to zero.
+    Clear {
+        /// Which.
+        buffer: BufferId,
+    },
+    /// Runs a compute stage.
+    Dispatch {
+        /// Which.
+        stage: &'static Stage,
+        /// Workgroups along x, y, z.
+        workgroups: [u32; 3],
+        /// In the order of [`Stage::bindings`].
+        bindings: Vec<Binding>,
+    },
+    /// Sets every pixel of a depth image.
+    ClearDepth {
+        /// Which.
+        depth: DepthId,
+        /// To what, in 0 ..= 1.
+        value: f32,
+    },
+    /// Runs a depth stage over a depth image, which keeps the smallest depth.
+    Draw {
+        /// Which.
+        stage: &'static Stage,
+        /// Vertices (three a triangle) and instances.
+        counts: [u32; 2],
+        /// In the order of [`Stage::bindings`].
+        bindings: Vec<Binding>,
+        /// Drawn to.
+        target: DepthId,
+    },
+    /// Copies the first words of a buffer back.
+    Download {
+        /// Which.
+        buffer: BufferId,
+        /// How many.
+        words: usize,
+    },
+}
+
+/// Steps to run in order.
+#[derive(Debug, Default)]
+pub struct Recording<'a> {
+    commands: Vec<Command<'a>>,
+}
+
+impl<'a> Recording<'a> {
+    /// Nothing yet.
+    pub fn new() -> Self {
+        Self::default()
+    }
+
+    /// The steps.
+    pub fn commands(&self) -> &[Command<'a>] {
+        &self.commands
+    }
+
+    /// Copies `data` (a multiple of four bytes) to the start of a buffer.
+    pub fn upload<T: Pod>(&mut self, buffer: BufferId, data: &'a [T]) {
+        self.commands.push(Command::Upload { buffer, bytes: bytemuck::cast_slice(data) });
+    }
+
+    /// Sets a buffer to zero.
+    pub fn clear(&mut self, buffer: BufferId) {
+        self.commands.push(Command::Clear { buffer });
+    }
+
+    /// Runs a compute stage.
+    pub fn dispatch(&mut self, stage: &'static Stage, workgroups: [u32; 3], bindings: &[Binding]) {
+        self.commands.push(Command::Dispatch { stage, workgroups, bindings: bindings.to_vec() });
+    }
+
+    /// Sets every pixel of a depth image.
+    pub fn clear_depth(&mut self, depth: DepthId, value: f32) {
+        self.commands.push(Command::ClearDepth { depth, value });
+    }
+
+    /// Runs a depth stage with `[vertices, instances]`.
+    pub fn draw(&mut self, stage: &'static Stage, counts: [u32; 2], bindings: &[Binding], target: DepthId) {
+        self.commands.push(Command::Draw { stage, counts, bindings: bindings.to_vec(), target });
+    }
+
+    /// Copies the first `words` of a buffer back.
+    pub fn download(&mut self, buffer: BufferId, words: usize) {
+        self.commands.push(Command::Download { buffer, words });
+    }
+}
+
+/// What an executor can hold.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub struct ExecutorLimits {
+    /// Bytes of a buffer that a stage can see.
+    pub binding_bytes: u64,
+    /// Side of a depth image, pixels.
+    pub depth_side: u32,
+}
+
+impl ExecutorLimits {
+    /// WebGPU's default limits.
+    pub const DEFAULT: Self = Self { binding_bytes: 128 << 20, depth_side: 8192 };
+}
+
+/// Runs recordings. Buffers and images live until they are released or the executor is dropped.
+pub trait Executor {
+    /// What it can hold.
+    fn limits(&self) -> ExecutorLimits;
+
+    /// A new buffer of at least `bytes` bytes; its content is undefined. `what` names it in errors.
+    fn buffer(&mut self, what: &'static str, bytes: u64) -> Result<BufferId, DeviceError>;
+
+    /// A new depth image; its content is undefined.
+    fn depth_image(&mut self, size: [u32; 2]) -> Result<DepthId, DeviceError>;
+
+    /// Frees a buffer.
+    fn release(&mut self, buffer: BufferId);
+
+    /// Frees a depth image.
+    fn release_depth(&mut self, depth: DepthId);
+
+    /// Runs the steps and returns what was downloaded, in order.
+    fn run(&mut self, recording: &Recording) -> Result<Vec<Vec<u32>>, DeviceError>;
+}
+
+/// A depth image on the CPU.
+#[derive(Debug, Clone, PartialEq)]
+pub struct DepthImage {
+    /// Pixels along x and y.
+    pub size: [u32; 2],
+    /// Row by row.
+    pub depths: Vec<f32>,
+}
+
+impl DepthImage {
+    /// The depth at a pixel.
+    pub fn at(&self, x: u32, y: u32) -> f32 {
+        self.depths[(y * self.size[0] + x) as usize]
+    }
+
+    /// Keeps the smaller depth.
+    pub fn keep_nearest(&mut self, x: u32, y: u32, depth: f32) {
+        let kept = &mut self.depths[(y * self.size[0] + x) as usize];
+        *kept = kept.min(depth);
+    }
+}
+
+/// What a twin is given for a binding.
+#[derive(Debug)]
+pub enum CpuBinding<'a> {
+    /// A buffer.
+    Words(&'a mut Vec<u32>),
+    /// A depth image.
+    Depth(&'a DepthImage),
+}
+
+impl CpuBinding<'_> {
+    /// The buffer as a slice of structs; a rest too short for one is left out.
+    pub fn slice<T: Pod>(&self) -> &[T] {
+        let words = self.words();
+        let whole = words.len() * 4 / size_of::<T>() * size_of::<T>() / 4;
+        bytemuck::cast_slice(&words[..whole])
+    }
+
+    /// The struct at the start of the buffer.
+    pub fn first<T: Pod>(&self) -> T {
+        self.slice::<T>()[0]
+    }
+
+    /// The buffer.
+    pub fn words(&self) -> &[u32] {
+        match self {
+            CpuBinding::Words(words) => words,
+            CpuBinding::Depth(_) => panic!("the stage table says that this binding is a buffer"),
+        }
+    }
+
+    /// The buffer, to write.
+    pub fn words_mut(&mut self) -> &mut [u32] {
+        match self {
+            CpuBinding::Words(words) => words,
+            CpuBinding::Depth(_) => panic!("the stage table says that this binding is a buffer"),
+        }
+    }
+
+    /// The depth image.
+    pub fn depth(&self) -> &DepthImage {
+        match self {
+            CpuBinding::Depth(image) => image,
+            CpuBinding::Words(_) => panic!("the stage table says that this binding is a depth image"),
+        }
+    }
+}
+
+/// Runs the twins, one after the other on one thread. For tests and for finding out which stage goes wrong.
+#[derive(Debug)]
+pub struct CpuExecutor {
+    limits: ExecutorLimits,
+    buffers: BTreeMap<BufferId, Vec<u32>>,
+    images: BTreeMap<DepthId, DepthImage>,
+    next_id: u32,
+}
+
+impl Default for CpuExecutor {
+    fn default() -> Self {
+        Self::new(ExecutorLimits::DEFAULT)
+    }
+}
+
+impl CpuExecutor {
+    /// An executor that pretends to have these limits.
+    pub fn new(limits: ExecutorLimits) -> Self {
+        Self { limits, buffers: BTreeMap::new(), images: BTreeMap::new(), next_id: 0 }
+    }
+
+    fn next_id(&mut self) -> u32 {
+        self.next_id += 1;
+        self.next_id
+    }
+
+    fn with_bindings<R>(
+        &mut self,
+        stage: &Stage,
+        bindings: &[Binding],
+        run: impl FnOnce(&mut [CpuBinding]) -> R,
+    ) -> R {
+        check_bindings(stage, bindings);
+        let mut taken: Vec<Vec<u32>> = bindings
+            .iter()
+            .map(|binding| match binding {
+                Binding::Buffer(id) => std::mem::take(self.buffers.get_mut(id).expect("a live buffer")),
+                Binding::Depth(_) => Vec::new(),
+            })
+            .collect();
+        let mut given: Vec<CpuBinding> = bindings
+            .iter()
+            .zip(&mut taken)
+            .map(|(binding, words)| match binding {
+                Binding::Buffer(_) => CpuBinding::Words(words),
+                Binding::Depth(id) => CpuBinding::Depth(&self.images[id]),
+            })
+            .collect();
+        let result = run(&mut given);
+        for (binding, words) in bindings.iter().zip(taken) {
+            if let Binding::Buffer(id) = binding {
+                self.buffers.insert(*id, words);
+            }
+        }
+        result
+    }
+}
+
+/// Panics if `bindings` are not what the stage table says: a mistake in our own recordings.
+pub fn check_bindings(stage: &Stage, bindings: &[Binding]) {
+    assert_eq!(stage.bindings.len(), bindings.len(), "bindings of `{}`", stage.name);
+    for (i, (kind, binding)) in stage.bindings.iter().zip(bindings).enumerate() {
+        let fits = matches!(kind, BindingKind::Depth) == matches!(binding, Binding::Depth(_));
+        assert!(fits, "binding {i} of `{}` is {kind:?}, not {binding:?}", stage.name);
+        assert!(!bindings[..i].contains(binding), "binding {i} of `{}` is bound twice", stage.name);
+    }
+}
+
+impl Executor for CpuExecutor {
+    fn limits(&self) -> ExecutorLimits {
+        self.limits
+    }
+
+    fn buffer(&mut self, what: &'static str, bytes: u64) -> Result<BufferId, DeviceError> {
+        if bytes > self.limits.binding_bytes {
+            let limit_bytes = self.limits.binding_bytes;
+            return Err(DeviceError::TooLarge { what, needed_bytes: bytes, limit_bytes });
+        }
+        let id = BufferId(self.next_id());
+        self.buffers.insert(id, vec![0; (bytes as usize).div_ceil(4)]);
+        Ok(id)
+    }
+
+    fn depth_image(&mut self, size: [u32; 2]) -> Result<DepthId, DeviceError> {
+        let id = DepthId(self.next_id());
+        self.images.insert(id, DepthImage { size, depths: vec![0.0; size[0] as usize * size[1] as usize] });
+        Ok(id)
+    }
+
+    fn release(&mut self, buffer: BufferId) {
+        self.buffers.remove(&buffer);
+    }
+
+    fn release_depth(&mut self, depth: DepthId) {
+        self.images.remove(&depth);
+    }
+
+    fn run(&mut self, recording: &Recording) -> Result<Vec<Vec<u32>>, DeviceError> {
+        let mut downloads = Vec::new();
+        for command in recording.commands() {
+            match command {
+                Command::Upload { buffer, bytes } => {
+                    let words = self.buffers.get_mut(buffer).expect("a live buffer");
+                    bytemuck::cast_slice_mut(words)[..bytes.len()].copy_from_slice(bytes);
+                }
+                Command::Clear { buffer } => {
+                    self.buffers.get_mut(buffer).expect("a live buffer").fill(0);
+                }
+                Command::Dispatch { stage, workgroups, bindings } => {
+                    let Kind::Compute { twin, .. } = stage.kind else {
+                        panic!("`{}` cannot be dispatched", stage.name)
+                    };
+                    self.with_bindings(stage, bindings, |given| twin(*workgroups, given));
+                }
+                Command::ClearDepth { depth, value } => {
+                    self.images.get_mut(depth).expect("a live image").depths.fill(*value);
+                }
+                Command::Draw { stage, counts, bindings, target } => {
+                    let Kind::Depth { twin } = stage.kind else { panic!("`{}` cannot be drawn", stage.name) };
+                    let mut image = self.images.remove(target).expect("a live image");
+                    self.with_bindings(stage, bindings, |given| twin(*counts, given, &mut image));
+                    self.images.insert(*target, image);
+                }
+                Command::Download { buffer, words } => {
+                    downloads.push(self.buffers[buffer][..*words].to_vec());
+                }
+            }
+        }
+        Ok(downloads)
+    }
+}

@@ -1,0 +1,231 @@
+//! The structs that shaders read and write, laid out as WGSL lays them out. [`GPU_STRUCTS`] lists every one, so that
+//! a test can compare sizes and offsets with the compiler's.
+
+use crate::device::PackedFragment;
+use crate::directions::DirectionFrame;
+use crate::masks::{AlphaPlane, TexelMap, TriangleMask, UNMASKED, WrapCode, wrap_texel};
+use crate::raster::{Grid, VoxelBox};
+use bytemuck::{Pod, Zeroable};
+use std::mem::offset_of;
+
+/// What the stages that rasterize need to know, 64 bytes.
+#[repr(C)]
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Pod, Zeroable)]
+pub struct RasterParams {
+    /// Smallest voxel to fill.
+    pub clip_min: [i32; 3],
+    /// [`Grid::bits`].
+    pub grid_bits: u32,
+    /// One past the largest voxel to fill.
+    pub clip_max: [i32; 3],
+    /// [`Grid::sub_bits`].
+    pub sub_bits: u32,
+    /// Distance in bits between neighbouring voxels along each axis.
+    pub bit_stride: [u32; 3],
+    /// Distance in bits between directions.
+    pub direction_stride: u32,
+    /// Triangles in the buffer.
+    pub triangles: u32,
+    /// Directions, or 0 if vertices are in the grid's lattice already.
+    pub directions: u32,
+    /// Fragments there is room for.
+    pub capacity: u32,
+    /// Zero.
+    pub reserved: u32,
+}
+
+impl RasterParams {
+    /// The grid.
+    pub fn grid(&self) -> Grid {
+        Grid { bits: self.grid_bits, sub_bits: self.sub_bits }
+    }
+
+    /// The voxels to fill.
+    pub fn clip(&self) -> VoxelBox {
+        VoxelBox { min: self.clip_min, max: self.clip_max }
+    }
+
+    /// Index of a voxel's bit.
+    pub fn bit(&self, direction: u32, voxel: [i32; 3]) -> u32 {
+        let along = |i: usize| (voxel[i] - self.clip_min[i]) as u32 * self.bit_stride[i];
+        direction * self.direction_stride + along(0) + along(1) + along(2)
+    }
+}
+
+/// One triangle of a job, 28 bytes.
+#[repr(C)]
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Pod, Zeroable)]
+pub struct PackedTriangle {
+    /// Nine signed 16-bit coordinates, x y z of vertex 0 first, the first in the low half of a word; the last half
+    /// word is 0. Vertex 0 at (1, −2, 3) starts with 0xFFFE_0001, 0x…_0003.
+    pub words: [u32; 5],
+    /// Index of its mask, or [`UNMASKED`].
+    pub mask: u32,
+    /// Index of the triangle in the job.
+    pub index: u32,
+}
+
+impl PackedTriangle {
+    /// Packs a triangle.
+    pub fn new(vertices: &[[i16; 3]; 3], mask: u32, index: u32) -> Self {
+        let mut words = [0u32; 5];
+        for (i, &c) in vertices.as_flattened().iter().enumerate() {
+            words[i / 2] |= u32::from(c as u16) << (16 * (i % 2));
+        }
+        Self { words, mask, index }
+    }
+
+    /// Its vertices.
+    pub fn vertices(&self) -> [[i16; 3]; 3] {
+        let at = |i: usize| (self.words[i / 2] >> (16 * (i % 2))) as u16 as i16;
+        [0, 1, 2].map(|v| [at(3 * v), at(3 * v + 1), at(3 * v + 2)])
+    }
+
+    /// Whether the fragment at these weights exists.
+    pub fn passes(
+        &self,
+        masks: &[TriangleMask],
+        planes: &[PackedPlane],
+        alpha: &[u32],
+        weights: [u32; 2],
+    ) -> bool {
+        if self.mask == UNMASKED {
+            return true;
+        }
+        let mask = &masks[self.mask as usize];
+        let plane = &planes[mask.plane as usize];
+        plane.alpha(alpha, mask.map.at(weights)) >= mask.threshold
+    }
+}
+
+/// Where an alpha plane lies in the buffer of all planes, 20 bytes.
+#[repr(C)]
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Pod, Zeroable)]
+pub struct PackedPlane {
+    /// Index of its first byte; four bytes are a word, the first in the lowest bits.
+    pub first_texel: u32,
+    /// Texels along u.
+    pub width: u32,
+    /// Texels along v.
+    pub height: u32,
+    /// [`WrapCode`] along u.
+    pub wrap_u: u32,
+    /// [`WrapCode`] along v.
+    pub wrap_v: u32,
+}
+
+impl PackedPlane {
+    /// Describes `plane`, whose bytes start at `first_texel`.
+    pub fn new(plane: &AlphaPlane, first_texel: u32) -> Self {
+        let [wrap_u, wrap_v] = plane.wrap.map(|w| w as u32);
+        Self { first_texel, width: plane.width, height: plane.height, wrap_u, wrap_v }
+    }
+
+    fn alpha(&self, alpha: &[u32], texel: [i32; 2]) -> u32 {
+        let [s, t] = [(texel[0], self.width, self.wrap_u), (texel[1], self.height, self.wrap_v)]
+            .map(|(at, size, wrap)| wrap_texel(at, size, wrap_code(wrap)));
+        let index = self.first_texel + t * self.width + s;
+        alpha[index as usize / 4] >> (index % 4 * 8) & 255
+    }
+}
+
+fn wrap_code(code: u32) -> WrapCode {
+    [WrapCode::Repeat, WrapCode::Mirror, WrapCode::Clamp][code as usize]
+}
+
+/// A large triangle along one axis, left to workgroups, 12 bytes.
+#[repr(C)]
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Pod, Zeroable)]
+pub struct LargeItem {
+    /// Index in the buffer.
+    pub triangle: u32,
+    /// Index of the frame.
+    pub direction: u32,
+    /// Projection axis.
+    pub axis: u32,
+}
+
+/// What `rotate_points` needs to know, 16 bytes.
+#[repr(C)]
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Pod, Zeroable)]
+pub struct PointParams {
+    /// Pairs of points.
+    pub pairs: u32,
+    /// log2 of voxels a side.
+    pub grid_bits: u32,
+    /// Zero.
+    pub reserved: [u32; 2],
+}
+
+/// How views lie in a peeled depth image, 16 bytes.
+#[repr(C)]
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Pod, Zeroable)]
+pub struct PeelParams {
+    /// Side of a view's square cell, pixels.
+    pub cell: u32,
+    /// Cells side by side.
+    pub columns: u32,
+    /// Cells one above the other.
+    pub rows: u32,
+    /// Views.
+    pub views: u32,
+}
+
+impl PeelParams {
+    /// Pixel at the smallest corner of a view's cell.
+    pub fn corner(&self, view: u32) -> [u32; 2] {
+        [view % self.columns * self.cell, view / self.columns * self.cell]
+    }
+}
+
+/// A window onto the pixels of one direction and axis, 16 bytes.
+#[repr(C)]
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Pod, Zeroable)]
+pub struct PeelView {
+    /// Index of the frame.
+    pub direction: u32,
+    /// Projection axis.
+    pub axis: u32,
+    /// Grid pixel at the cell's smallest corner.
+    pub window_x: i32,
+    /// Grid pixel at the cell's smallest corner.
+    pub window_y: i32,
+}
+
+/// A struct's layout as Rust has it.
+#[derive(Debug)]
+pub struct GpuStruct {
+    /// Its name, in WGSL too.
+    pub name: &'static str,
+    /// Bytes.
+    pub size: usize,
+    /// Names and offsets of its fields.
+    pub fields: &'static [(&'static str, usize)],
+}
+
+macro_rules! gpu_structs {
+    ($($name:ident { $($field:ident),* $(,)? })*) => {
+        /// Every struct that shaders share with Rust.
+        pub const GPU_STRUCTS: &[GpuStruct] = &[$(GpuStruct {
+            name: stringify!($name),
+            size: size_of::<$name>(),
+            fields: &[$((stringify!($field), offset_of!($name, $field))),*],
+        }),*];
+    };
+}
+
+gpu_structs! {
+    RasterParams {
+        clip_min, grid_bits, clip_max, sub_bits, bit_stride, direction_stride, triangles, directions, capacity, reserved,
+    }
+    PackedTriangle { words, mask, index }
+    PackedPlane { first_texel, width, height, wrap_u, wrap_v }
+    PackedFragment { voxel, triangle, barycentric }
+    LargeItem { triangle, direction, axis }
+    PointParams { pairs, grid_bits, reserved }
+    PeelParams { cell, columns, rows, views }
+    PeelView { direction, axis, window_x, window_y }
+    DirectionFrame { row_from_lattice, offset }
+    TriangleMask { plane, threshold, map, reserved }
+    TexelMap { texel, step1, step2, shift }
+}

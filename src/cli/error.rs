@@ -1,0 +1,122 @@
+//! How commands end: exit codes, and the errors that carry them.
+
+use std::fmt;
+use std::process::ExitCode;
+
+use manyview::LoadError;
+use manyview::preview::{CameraError, Cancelled};
+use manyview_cache::archive::ArchiveErrorKind;
+use manyview_cache::atomic::AtomicFileError;
+
+/// The exit codes that all commands share.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub(crate) enum Exit {
+    /// What was asked for is done.
+    Done = 0,
+    /// A bug or an unforeseen failure.
+    Internal = 1,
+    /// The arguments are wrong.
+    Usage = 2,
+    /// The input cannot be used, or the output cannot be written.
+    BadInput = 3,
+    /// It would take more than is allowed.
+    OverBudget = 4,
+    /// The archive or the cache is corrupt.
+    Corrupt = 5,
+    /// The user gave up.
+    Cancelled = 130,
+}
+
+impl Exit {
+    /// What `diff` says of archives that differ, as other tools that compare do.
+    pub(crate) const DIFFERENT: Self = Self::Internal;
+}
+
+impl From<Exit> for ExitCode {
+    fn from(exit: Exit) -> Self {
+        ExitCode::from(exit as u8)
+    }
+}
+
+/// How a command ended, if not with an error.
+pub(crate) type CliResult = Result<Exit, CliError>;
+
+/// Why a command failed, and the exit code for that.
+#[derive(Debug)]
+pub(crate) struct CliError {
+    exit: Exit,
+    error: anyhow::Error,
+}
+
+impl CliError {
+    /// An error with its exit code.
+    pub(crate) fn new(exit: Exit, error: impl Into<anyhow::Error>) -> Self {
+        Self { exit, error: error.into() }
+    }
+
+    /// The arguments parse, but make no sense together or for this archive.
+    pub(crate) fn usage(message: impl fmt::Display) -> Self {
+        Self::new(Exit::Usage, anyhow::anyhow!("{message}"))
+    }
+
+    /// An input is wrong.
+    pub(crate) fn bad_input(message: impl fmt::Display) -> Self {
+        Self::new(Exit::BadInput, anyhow::anyhow!("{message}"))
+    }
+
+    /// The exit code.
+    pub(crate) fn exit(&self) -> Exit {
+        self.exit
+    }
+}
+
+impl fmt::Display for CliError {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        // Messages of the library already tell their causes.
+        write!(f, "{}", self.error)
+    }
+}
+
+impl From<LoadError> for CliError {
+    fn from(error: LoadError) -> Self {
+        let exit = if error.is_corruption() {
+            Exit::Corrupt
+        } else if error.is_over_budget() {
+            Exit::OverBudget
+        } else {
+            match &error {
+                LoadError::NoSuchItem { .. } => Exit::Usage,
+                _ => Exit::BadInput,
+            }
+        };
+        if let LoadError::Container(container) = &error
+            && let ArchiveErrorKind::Read { source } = container.kind()
+            && source.kind() == std::io::ErrorKind::NotFound
+        {
+            let message = format!(
+                "{}: there is no such file; name an archive that `manyview bake` made",
+                container.archive()
+            );
+            return Self::bad_input(message);
+        }
+        Self::new(exit, error)
+    }
+}
+
+impl From<AtomicFileError> for CliError {
+    fn from(error: AtomicFileError) -> Self {
+        Self::new(Exit::BadInput, error)
+    }
+}
+
+impl From<CameraError> for CliError {
+    fn from(error: CameraError) -> Self {
+        Self::new(Exit::BadInput, error)
+    }
+}
+
+impl From<Cancelled> for CliError {
+    fn from(error: Cancelled) -> Self {
+        Self::new(Exit::Cancelled, error)
+    }
+}
