@@ -35,9 +35,9 @@ fn wrap_texel(texel: i32, size: u32, wrap: u32) -> u32 {
 fn mask_passes(mask: u32, weights: vec2<u32>) -> bool {
     let plane = planes[masks[mask].plane];
     let w = vec2<i32>(weights);
-    let shift = masks[mask].map.shift;
-    let s = (masks[mask].map.texel[0] + ((w.x * masks[mask].map.step1[0] + w.y * masks[mask].map.step2[0]) >> 15u)) >> shift;
-    let t = (masks[mask].map.texel[1] + ((w.x * masks[mask].map.step1[1] + w.y * masks[mask].map.step2[1]) >> 15u)) >> shift;
+    let map = masks[mask].map;
+    let s = (map.texel[0] + ((w.x * map.step1[0] + w.y * map.step2[0]) >> 15u)) >> map.shift;
+    let t = (map.texel[1] + ((w.x * map.step1[1] + w.y * map.step2[1]) >> 15u)) >> map.shift;
     let texel = plane.first_texel + wrap_texel(t, plane.height, plane.wrap_v) * plane.width
         + wrap_texel(s, plane.width, plane.wrap_u);
     let value = (alpha[texel >> 2u] >> ((texel & 3u) * 8u)) & 255u;

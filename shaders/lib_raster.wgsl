@@ -38,7 +38,13 @@ fn cross_xy(p: vec3<i32>, q: vec3<i32>, r: vec3<i32>) -> i32 {
     return (q.x - p.x) * (r.y - p.y) - (q.y - p.y) * (r.x - p.x);
 }
 
-fn project(vertices: array<vec3<i32>, 3>, axis: u32, sub_bits: u32, clip_min: vec3<i32>, clip_max: vec3<i32>) -> Projected {
+fn project(
+    vertices: array<vec3<i32>, 3>,
+    axis: u32,
+    sub_bits: u32,
+    clip_min: vec3<i32>,
+    clip_max: vec3<i32>,
+) -> Projected {
     var p: Projected;
     p.a = to_projection(vertices[0], axis);
     p.b = to_projection(vertices[1], axis);

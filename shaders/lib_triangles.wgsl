@@ -18,9 +18,8 @@ fn high_i16(word: u32) -> i32 {
     return i32(word) >> 16u;
 }
 
-fn grid_point(direction: u32, p: vec3<i32>) -> vec3<i32> {
-    let raw = vec3<i32>(raw_along(direction, 0u, p), raw_along(direction, 1u, p), raw_along(direction, 2u, p));
-    return raw >> vec3<u32>(ROW_RAW_BITS - params.grid_bits - params.sub_bits);
+fn grid_point(axes: Axes, p: vec3<i32>) -> vec3<i32> {
+    return raw_point(axes, p) >> vec3<u32>(ROW_RAW_BITS - params.grid_bits - params.sub_bits);
 }
 
 fn triangle_vertices(triangle: u32, direction: u32) -> array<vec3<i32>, 3> {
@@ -31,5 +30,6 @@ fn triangle_vertices(triangle: u32, direction: u32) -> array<vec3<i32>, 3> {
     if params.directions == 0u {
         return array<vec3<i32>, 3>(a, b, c);
     }
-    return array<vec3<i32>, 3>(grid_point(direction, a), grid_point(direction, b), grid_point(direction, c));
+    let axes = axes_of(direction);
+    return array<vec3<i32>, 3>(grid_point(axes, a), grid_point(axes, b), grid_point(axes, c));
 }

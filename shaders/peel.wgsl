@@ -1,7 +1,7 @@
 // One layer of depth peeling: draws every triangle into every view and keeps, per pixel, the nearest voxel behind the
-// layer before. One instance is one view, six vertices are one triangle: the rectangle of its pixels, whose corners
-// are whole numbers. Coverage and depth are decided in integers by the fragment shader, since no two rasterizers
-// agree on them.
+// layer before. One instance is one view, three vertices are one triangle. What is drawn is a right triangle around the
+// rectangle of its pixels, with corners in whole numbers: coverage and depth are decided in integers by the fragment
+// shader, since no two rasterizers agree on them.
 
 @group(0) @binding(0) var<uniform> params: RasterParams;
 @group(0) @binding(1) var<uniform> peel: PeelParams;
@@ -27,9 +27,10 @@ struct Corner {
 
 @vertex
 fn vertex(@builtin(vertex_index) index: u32, @builtin(instance_index) instance: u32) -> Corner {
-    let triangle = index / 6u;
+    let triangle = index / 3u;
     let view = views[instance];
-    var p = project(triangle_vertices(triangle, view.direction), view.axis, params.sub_bits, params.clip_min, params.clip_max);
+    let vertices = triangle_vertices(triangle, view.direction);
+    var p = project(vertices, view.axis, params.sub_bits, params.clip_min, params.clip_max);
     let window = vec2<i32>(view.window_x, view.window_y);
     p.pixel_min = max(p.pixel_min, window);
     p.pixel_max = min(p.pixel_max, window + i32(peel.cell) - 1i);
@@ -43,11 +44,10 @@ fn vertex(@builtin(vertex_index) index: u32, @builtin(instance_index) instance: 
     corner.c = p.c;
     corner.pixels = vec4<i32>(p.pixel_min, p.pixel_max);
     corner.ids = vec4<u32>(instance, triangles[triangle].mask, u32(p.area), select(0u, 1u, p.swapped));
-    // Corners 0 1 2 and 2 1 3 of the rectangle.
-    let j = index % 6u;
-    let k = select(j, select(select(3u, 1u, j == 4u), 2u, j == 3u), j >= 3u);
-    let ends = vec2<bool>((k & 1u) == 1u, k >= 2u);
-    let pixel = cell_corner(instance, peel) - window + select(p.pixel_min, p.pixel_max + 1i, ends);
+    // The corner that the rectangle shares, and the ends of legs twice its sides long.
+    let k = index % 3u;
+    let legs = (p.pixel_max - p.pixel_min + 1i) * vec2<i32>(vec2<u32>(2u * (k & 1u), k & 2u));
+    let pixel = cell_corner(instance, peel) - window + p.pixel_min + legs;
     let side = vec2<f32>(vec2<u32>(peel.columns, peel.rows) * peel.cell);
     let ndc = vec2<f32>(pixel) / side * 2.0 - 1.0;
     corner.position = vec4<f32>(ndc.x, -ndc.y, 0.5, 1.0);
@@ -62,7 +62,8 @@ fn fragment(corner: Corner) -> @builtin(frag_depth) f32 {
     if any(pixel < corner.pixels.xy) || any(pixel > corner.pixels.zw) {
         discard;
     }
-    let p = Projected(corner.a, corner.b, corner.c, i32(corner.ids.z), corner.ids.w == 1u, corner.pixels.xy, corner.pixels.zw);
+    let swapped = corner.ids.w == 1u;
+    let p = Projected(corner.a, corner.b, corner.c, i32(corner.ids.z), swapped, corner.pixels.xy, corner.pixels.zw);
     let s = sample_pixel(p, pixel, params.sub_bits);
     let near = to_projection(params.clip_min, view.axis).z;
     let far = to_projection(params.clip_max, view.axis).z;

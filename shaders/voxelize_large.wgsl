@@ -1,9 +1,4 @@
-// Sets the bits of the large triangles that `voxelize` queued: one workgroup per item (x, y) and strip of rows (z).
-
-struct LargeItems {
-    count: u32,
-    items: array<LargeItem>,
-}
+// Sets the bits of the large triangles that `voxelize` queued.
 
 @group(0) @binding(0) var<uniform> params: RasterParams;
 @group(0) @binding(1) var<storage, read> frames: array<DirectionFrame>;
@@ -16,8 +11,5 @@ struct LargeItems {
 
 @compute @workgroup_size(64)
 fn main(@builtin(workgroup_id) group: vec3<u32>, @builtin(local_invocation_index) lane: u32) {
-    let item = group.y * MAX_WORKGROUPS + group.x;
-    if item < queue.count {
-        scan_strip(queue.items[item], group.z, lane);
-    }
+    scan_strip(group, lane);
 }

@@ -1,8 +1,13 @@
 //! manyview: thousands to a million lights and views without ray-tracing hardware.
 
 pub mod archive;
+#[cfg(feature = "bake")]
+pub mod bench;
 pub mod gpu;
 pub mod npy;
 pub mod preview;
+pub mod rays;
+#[cfg(feature = "bake")]
+pub mod reference;
 
 pub use archive::{Archive, LoadError};

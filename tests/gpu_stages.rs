@@ -16,7 +16,7 @@ use std::time::{Duration, Instant};
 type Check = fn(&GpuDevice) -> Result<(), Failed>;
 
 fn main() {
-    let arguments = Arguments::from_args();
+    let mut arguments = Arguments::from_args();
     let required = std::env::var("MANYVIEW_REQUIRE_GPU").is_ok_and(|value| value == "1");
     let opened = GpuDevice::open(&AdapterChoice::from_env());
     let reason = match &opened {
@@ -54,6 +54,7 @@ fn main() {
     let mut trials = Vec::from(checks.map(trial));
     // Ratios of times: `cargo test --test gpu_stages -- --bench`.
     if arguments.bench {
+        arguments.test_threads = Some(1);
         trials = measured().into_iter().map(|case| measure(case, &DEVICE)).collect();
     }
     libtest_mimic::run(&arguments, trials).exit();

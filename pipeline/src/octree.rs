@@ -1,7 +1,7 @@
 //! Triangles in, sparse voxel octree out.
 //!
 //! # Theory
-//! [MV] §3: the scene hierarchy is an SVO built by depth peeling down to the deepest level, with averaged colour and a
+//! \[MV\] §3: the scene hierarchy is an SVO built by depth peeling down to the deepest level, with averaged colour and a
 //! normal cone in every node.
 //!
 //! # Differences from the paper

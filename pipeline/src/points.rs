@@ -1,7 +1,7 @@
 //! A dense set of points on the scene's surface, for rotating into every direction.
 //!
 //! # Theory
-//! [WMP] Algorithm 5 fills all directions by rotating the voxels of one voxelization: far cheaper than voxelizing the
+//! \[WMP\] Algorithm 5 fills all directions by rotating the voxels of one voxelization: far cheaper than voxelizing the
 //! triangles 8,100 times, and less accurate, because a voxel's centre stands for all of it.
 //!
 //! # Differences from the paper

@@ -4,6 +4,7 @@
 //! scene = "../scenes/village.glb"       # or: generate = { kind = "town", triangles = 100000, seed = 1 }
 //! output = "out/village.mvb"
 //! preview = "out/village.png"           # a picture of the result
+//! camera = "village.camera.toml"        # from here, as `manyview preview --camera` reads it
 //! levels = 11
 //! rows = 128                            # voxels a side, 0 for none
 //! directions = "latlong:90x90"
@@ -48,6 +49,8 @@ pub struct Recipe {
     pub output: Option<PathBuf>,
     /// A picture of the result.
     pub preview: Option<PathBuf>,
+    /// The camera of that picture; fitted to the scene if there is none.
+    pub camera: Option<PathBuf>,
     /// Settings: the defaults where the recipe says nothing.
     pub options: BakeOptions,
     /// Time of the animation, seconds.
@@ -71,6 +74,7 @@ struct File {
     generate: Option<Generate>,
     output: Option<PathBuf>,
     preview: Option<PathBuf>,
+    camera: Option<PathBuf>,
     levels: Option<u32>,
     rows: Option<u32>,
     directions: Option<String>,
@@ -153,6 +157,7 @@ impl Recipe {
             scene,
             output: file.output.map(|p| folder.join(p)),
             preview: file.preview.map(|p| folder.join(p)),
+            camera: file.camera.map(|p| folder.join(p)),
             options: BakeOptions { levels: file.levels.unwrap_or(defaults.levels), rows, cube, ..defaults },
             time_seconds: file.time,
         })
@@ -202,6 +207,7 @@ mod tests {
             generate = { kind = "town", triangles = 5000, seed = 3 }
             output = "out/t.mvb"
             preview = "t.png"
+            camera = "c.toml"
             levels = 9
             rows = 64
             directions = "octahedral:30"
@@ -216,6 +222,7 @@ mod tests {
             Some(SceneSource::Generated { kind: SceneKind::Town, triangles: 5000, seed: 3 })
         );
         assert_eq!(recipe.output.as_deref(), Some(Path::new("a/out/t.mvb")));
+        assert_eq!(recipe.camera.as_deref(), Some(Path::new("a/c.toml")));
         assert_eq!(recipe.options.levels, 9);
         let rows = recipe.options.rows.unwrap();
         assert_eq!((rows.bits, rows.directions), (6, DirectionSet::Octahedral { size: 30 }));

@@ -1,7 +1,7 @@
 //! Triangles in, bit rows of every direction out.
 //!
 //! # Theory
-//! [WMP] Algorithm 1 voxelizes the scene once per direction with depth peeling along three axes; Algorithm 5 rotates the
+//! \[WMP\] Algorithm 1 voxelizes the scene once per direction with depth peeling along three axes; Algorithm 5 rotates the
 //! voxels of one voxelization into all others.
 //!
 //! # Differences from the paper
@@ -19,7 +19,7 @@ use crate::triangles::{Cutouts, LatticeTriangles};
 use manyview_cache::archive::{ArchiveWriter, CompressedChunk, MAX_CHUNK_BYTES};
 use manyview_shaders::device::{VoxelDevice, grid_point};
 use manyview_shaders::directions::{
-    DirectionFrame, DirectionSet, Fit, ROW_RAW_BITS, RowLattice, extents_along,
+    DirectionFrame, DirectionSet, Fit, ROW_RAW_BITS, RowLattice, extents_along, rolled_to_fit,
 };
 use manyview_shaders::raster::{Grid, Raster, VoxelBox};
 use manyview_shaders::sections::{RowsInfo, name};
@@ -29,10 +29,10 @@ use std::io::{Seek, Write};
 /// How rows are voxelized.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub enum RowsFrom {
-    /// Every direction from the triangles, along three axes ([WMP] Algorithm 1). On a GPU by depth peeling; on the CPU
+    /// Every direction from the triangles, along three axes (\[WMP\] Algorithm 1). On a GPU by depth peeling; on the CPU
     /// in one pass, which gives the same bits.
     Peel,
-    /// One voxelization, rotated ([WMP] Algorithm 5).
+    /// One voxelization, rotated (\[WMP\] Algorithm 5).
     Rotate,
     /// A dense set of surface points, rotated.
     Points,
@@ -63,8 +63,11 @@ pub struct RowsOptions {
     pub from: RowsFrom,
 }
 
-/// A point is kept per cell of a quarter of a voxel's edge.
-const POINT_BITS_ABOVE_VOXELS: u32 = 2;
+/// log2 of cells per voxel edge: a point is kept per cell of half a voxel's edge. Twice as many give no smaller error
+/// against exact rays (bakes/REPORT.md), and four times the work.
+pub const POINT_BITS_ABOVE_VOXELS: u32 = 1;
+/// Finest grid of cells that points are kept by: Morton codes have 10 bits per axis.
+const MAX_POINT_BITS: u32 = 10;
 
 /// Everything that the blocks of rows are made from.
 pub struct RowsPlan<'a> {
@@ -114,14 +117,28 @@ impl<'a> RowsPlan<'a> {
         triangles: &'a LatticeTriangles,
         cutouts: &'a Cutouts,
     ) -> Self {
-        let surface = surface_points(triangles, cutouts, options.bits + POINT_BITS_ABOVE_VOXELS);
+        Self::with_density(options, lattice, triangles, cutouts, POINT_BITS_ABOVE_VOXELS)
+    }
+
+    /// Like [`RowsPlan::new`], with `2^point_bits` cells per voxel edge, each of which keeps one surface point.
+    pub fn with_density(
+        options: RowsOptions,
+        lattice: RowLattice,
+        triangles: &'a LatticeTriangles,
+        cutouts: &'a Cutouts,
+        point_bits: u32,
+    ) -> Self {
+        let surface = surface_points(triangles, cutouts, (options.bits + point_bits).min(MAX_POINT_BITS));
         let boxes = coarse_boxes(&surface);
         let set = options.directions;
         let frames: Vec<_> = (0..set.count())
             .into_par_iter()
             .map(|d| {
-                let extents = extents_along(set.frame(d), &lattice, &boxes);
-                DirectionFrame::new(set, d, &lattice, options.fit, extents)
+                let axes = match options.fit {
+                    Fit::Cube => set.frame(d),
+                    Fit::Extent => rolled_to_fit(set.frame(d), &lattice, &boxes),
+                };
+                DirectionFrame::new(axes, &lattice, options.fit, extents_along(axes, &lattice, &boxes))
             })
             .collect();
         let points = match options.from {
@@ -143,6 +160,11 @@ impl<'a> RowsPlan<'a> {
     /// Number of points that are rotated; 0 where triangles are voxelized.
     pub fn point_count(&self) -> usize {
         self.points.len()
+    }
+
+    /// The points that are rotated, in row-lattice coordinates; empty where triangles are voxelized.
+    pub fn points(&self) -> &[[i16; 3]] {
+        &self.points
     }
 
     /// The head of the rows' sections.
@@ -216,7 +238,7 @@ impl<'a> RowsPlan<'a> {
         progress.begin("rows", self.frames.len() as u64, "directions");
         let compress = |rows: Vec<u32>| {
             // The format is little-endian; every target that the bake supports is too.
-            CompressedChunk::compress(bytemuck::cast_slice(&rows), zstd_level)
+            CompressedChunk::compress_sparse(bytemuck::cast_slice(&rows), zstd_level)
         };
         // Blocks from a device wait uncompressed, 4 MiB each; those from the CPU, compressed, for blocks before them.
         let wave = rayon::current_num_threads() * if device.is_some() { 1 } else { 16 };

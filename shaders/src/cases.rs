@@ -198,7 +198,7 @@ pub fn frames(count: u32) -> Vec<DirectionFrame> {
             let index = (i * 2_654_435) % set.count();
             let extents = extents_along(set.frame(index), &lattice, &[[[-corner; 3], [corner; 3]]]);
             let fit = if i % 2 == 0 { Fit::Extent } else { Fit::Cube };
-            DirectionFrame::new(set, index, &lattice, fit, extents)
+            DirectionFrame::new(set.frame(index), &lattice, fit, extents)
         })
         .collect()
 }
@@ -251,7 +251,7 @@ pub fn cases() -> Vec<Case> {
                 cases.push(Case { name, job, geometry: geometry.clone() });
             }
         }
-        let step = (32768 >> bits) as i32;
+        let step = 32768 >> bits;
         for (kind, geometry) in geometries(u64::from(100 + bits), -16384, 16384, step) {
             for (job_name, peel) in [("raster_rows in one pass", false), ("raster_rows by peeling", true)] {
                 let name = format!("{job_name}: {kind}, {bits} bits");

@@ -4,11 +4,13 @@ use crate::directions::ROW_RAW_BITS;
 use crate::masks::{UNMASKED, WrapCode};
 
 /// Pixels that one invocation visits for one triangle along one axis; a triangle with more is done by workgroups.
-pub const SMALL_PIXELS: u32 = 64;
+pub const SMALL_PIXELS: u32 = 256;
 /// Invocations that share a large triangle.
 pub const LARGE_LANES: u32 = 64;
 /// Rows of pixels of a large triangle that one workgroup visits.
-pub const LARGE_ROWS: u32 = 64;
+pub const LARGE_ROWS: u32 = 256;
+/// Pairs of points that one invocation puts into one direction's grid.
+pub const PAIRS_PER_INVOCATION: u32 = 16;
 /// WebGPU's default limit of workgroups along one axis of a dispatch.
 pub const MAX_WORKGROUPS: u32 = 65_535;
 /// A peeled layer stores (voxel + 1) / `PEEL_DEPTHS`: exact in a float, and below 1 for the largest clip box.
@@ -24,6 +26,7 @@ pub fn wgsl() -> String {
         ("SMALL_PIXELS", SMALL_PIXELS),
         ("LARGE_LANES", LARGE_LANES),
         ("LARGE_ROWS", LARGE_ROWS),
+        ("PAIRS_PER_INVOCATION", PAIRS_PER_INVOCATION),
         ("MAX_WORKGROUPS", MAX_WORKGROUPS),
     ];
     let mut lines: String =

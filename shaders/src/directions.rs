@@ -1,7 +1,7 @@
 //! Sampled ray directions, and the row frame of each.
 //!
 //! # Theory
-//! [WMP] §3 samples all ray directions (a direction and its opposite share rows) and voxelizes the scene once per
+//! \[WMP\] §3 samples all ray directions (a direction and its opposite share rows) and voxelizes the scene once per
 //! direction, in a frame whose third axis is the direction: *rows* run along it. A ray then lies almost inside one
 //! row of the voxelization whose direction is nearest.
 //!
@@ -144,7 +144,8 @@ fn normalized(v: [f64; 3]) -> [f64; 3] {
 pub enum Fit {
     /// A cube around the bounding sphere, the same for every direction (the paper's).
     Cube,
-    /// A box around the scene's extent along each axis of the direction's frame.
+    /// A box around the scene's extent along each axis of the direction's frame, which is turned about the direction
+    /// to make it small.
     Extent,
 }
 
@@ -197,16 +198,9 @@ pub struct DirectionFrame {
 }
 
 impl DirectionFrame {
-    /// The frame of direction `index`. `extents` are the scene's smallest and largest coordinates along u, v, w
-    /// relative to the lattice's centre, in metres (from [`extents_along`]).
-    pub fn new(
-        set: DirectionSet,
-        index: u32,
-        lattice: &RowLattice,
-        fit: Fit,
-        extents: [[f64; 2]; 3],
-    ) -> Self {
-        let axes = set.frame(index);
+    /// The frame with world-space unit vectors `axes` (u, v, w). `extents` are the scene's smallest and largest
+    /// coordinates along them relative to the lattice's centre, in metres (from [`extents_along`]).
+    pub fn new(axes: [[f64; 3]; 3], lattice: &RowLattice, fit: Fit, extents: [[f64; 2]; 3]) -> Self {
         let mut frame = Self { row_from_lattice: [[0; 3]; 3], offset: [0; 3] };
         let diameter = 2.0 * lattice.half_extent.iter().map(|h| h * h).sum::<f64>().sqrt();
         for a in 0..3 {
@@ -276,6 +270,27 @@ pub fn extents_along(axes: [[f64; 3]; 3], lattice: &RowLattice, boxes: &[[[i16; 
     })
 }
 
+/// Rolls that [`rolled_to_fit`] tries within a quarter turn.
+const ROLLS: u32 = 24;
+
+/// `axes` turned about w so that the scene's extents along u and v enclose the smallest area: a long scene seen along
+/// its diagonal would else leave most rows empty. `boxes` as for [`extents_along`].
+pub fn rolled_to_fit(axes: [[f64; 3]; 3], lattice: &RowLattice, boxes: &[[[i16; 3]; 2]]) -> [[f64; 3]; 3] {
+    let [u, v, w] = axes;
+    let mut best = (f64::INFINITY, axes);
+    for roll in 0..ROLLS {
+        let (sin, cos) = sin_cos_turns(roll, 4 * ROLLS);
+        let turned_u = [0, 1, 2].map(|i| cos * u[i] + sin * v[i]);
+        let turned = [turned_u, [0, 1, 2].map(|i| cos * v[i] - sin * u[i]), w];
+        let [[u_min, u_max], [v_min, v_max], _] = extents_along(turned, lattice, boxes);
+        let area = (u_max - u_min) * (v_max - v_min);
+        if area < best.0 {
+            best = (area, turned);
+        }
+    }
+    best.1
+}
+
 #[cfg(test)]
 mod tests {
     use super::*;
@@ -343,7 +358,7 @@ mod tests {
         for fit in [Fit::Cube, Fit::Extent] {
             for index in 0..SETS[0].count() {
                 let extents = extents_along(SETS[0].frame(index), &lattice, &boxes);
-                let frame = DirectionFrame::new(SETS[0], index, &lattice, fit, extents);
+                let frame = DirectionFrame::new(SETS[0].frame(index), &lattice, fit, extents);
                 let (matrix, offset) = frame.voxel_from_world(&lattice, 7);
                 for &p in &corners {
                     let world = lattice.world(p);
@@ -358,6 +373,22 @@ mod tests {
                 }
             }
         }
+    }
+
+    #[test]
+    fn a_diagonal_strip_is_seen_square() {
+        // A thin strip along x = z, looked at from above: turned by 45 degrees it fills its grid.
+        let lattice = RowLattice::new([0.0; 3], [10.0, 1.0, 10.0]);
+        let boxes: Vec<_> =
+            (-16..16).map(|i| [[i * 1000, 0, i * 1000], [i * 1000 + 900, 9, i * 1000 + 900]]).collect();
+        let axes = SETS[0].frame(0);
+        let area = |axes| {
+            let [u, v, _] = extents_along(axes, &lattice, &boxes);
+            (u[1] - u[0]) * (v[1] - v[0])
+        };
+        let rolled = rolled_to_fit(axes, &lattice, &boxes);
+        assert!(area(rolled) < area(axes) / 10.0);
+        assert_eq!(rolled[2], axes[2], "rows still run along the direction");
     }
 
     #[test]

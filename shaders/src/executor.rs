@@ -364,7 +364,7 @@ impl Executor for CpuExecutor {
                     self.images.insert(*target, image);
                 }
                 Command::Download { buffer, words } => {
-                    downloads.push(self.buffers[buffer][..*words].to_vec())
+                    downloads.push(self.buffers[buffer][..*words].to_vec());
                 }
             }
         }

@@ -1,7 +1,7 @@
 //! Which voxels a triangle covers, decided in integers.
 //!
 //! # Theory
-//! [WMP] Algorithm 1 and the scene octree of [MV] both voxelize by rendering the triangles orthographically along the
+//! \[WMP\] Algorithm 1 and the scene octree of \[MV\] both voxelize by rendering the triangles orthographically along the
 //! three grid axes and keeping every depth layer. A fragment exists where a pixel centre lies in the projected
 //! triangle (top-left rule on shared edges); its voxel is the floor of the plane's depth there.
 //!

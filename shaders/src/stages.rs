@@ -97,14 +97,18 @@ macro_rules! stages {
 
 stages! {
     rotate_points(lib_frames) [Uniform, Read, Read, ReadWrite] Compute { workgroup_size: [64, 1, 1] };
-    voxelize(lib_params, lib_raster, lib_masks, lib_frames, lib_triangles, lib_scan, lib_emit_bit)
-        [Uniform, Read, Read, Read, Read, Read, ReadWrite, ReadWrite] Compute { workgroup_size: [64, 1, 1] };
-    voxelize_large(lib_params, lib_raster, lib_masks, lib_frames, lib_triangles, lib_scan, lib_emit_bit)
-        [Uniform, Read, Read, Read, Read, Read, Read, ReadWrite] Compute { workgroup_size: [64, 1, 1] };
-    fragments(lib_params, lib_raster, lib_masks, lib_frames, lib_triangles, lib_scan, lib_emit_fragment)
-        [Uniform, Read, Read, Read, Read, Read, ReadWrite, ReadWrite] Compute { workgroup_size: [64, 1, 1] };
-    fragments_large(lib_params, lib_raster, lib_masks, lib_frames, lib_triangles, lib_scan, lib_emit_fragment)
-        [Uniform, Read, Read, Read, Read, Read, Read, ReadWrite] Compute { workgroup_size: [64, 1, 1] };
+    voxelize(
+        lib_params, lib_raster, lib_masks, lib_frames, lib_triangles, lib_scan, lib_scan_small, lib_emit_bit
+    ) [Uniform, Read, Read, Read, Read, Read, ReadWrite, ReadWrite] Compute { workgroup_size: [64, 1, 1] };
+    voxelize_large(
+        lib_params, lib_raster, lib_masks, lib_frames, lib_triangles, lib_scan, lib_scan_large, lib_emit_bit
+    ) [Uniform, Read, Read, Read, Read, Read, Read, ReadWrite] Compute { workgroup_size: [64, 1, 1] };
+    fragments(
+        lib_params, lib_raster, lib_masks, lib_frames, lib_triangles, lib_scan, lib_scan_small, lib_emit_fragment
+    ) [Uniform, Read, Read, Read, Read, Read, ReadWrite, ReadWrite] Compute { workgroup_size: [64, 1, 1] };
+    fragments_large(
+        lib_params, lib_raster, lib_masks, lib_frames, lib_triangles, lib_scan, lib_scan_large, lib_emit_fragment
+    ) [Uniform, Read, Read, Read, Read, Read, Read, ReadWrite] Compute { workgroup_size: [64, 1, 1] };
     peel(lib_params, lib_raster, lib_masks, lib_frames, lib_triangles, lib_views)
         [Uniform, Uniform, Read, Read, Read, Read, Read, Read, Depth] Depth;
     peel_collect(lib_params, lib_raster, lib_views)

@@ -1,7 +1,7 @@
 //! The sparse voxel octree, level by level.
 //!
 //! # Theory
-//! [MV] §3 takes an SVO as scene hierarchy: nodes with averaged colour, normal cone and a bounding sphere that follows
+//! \[MV\] §3 takes an SVO as scene hierarchy: nodes with averaged colour, normal cone and a bounding sphere that follows
 //! from the cell. Here it is kept breadth first: level l lists its nodes in Morton order, with one child mask each;
 //! the children of a level's nodes, in order, are the next level. Positions and child indices follow from the masks,
 //! so that geometry alone is one byte per inner node.

@@ -108,9 +108,9 @@ pub struct PackedPlane {
     pub width: u32,
     /// Texels along v.
     pub height: u32,
-    /// [`WrapCode`](crate::masks::WrapCode) along u.
+    /// [`WrapCode`] along u.
     pub wrap_u: u32,
-    /// [`WrapCode`](crate::masks::WrapCode) along v.
+    /// [`WrapCode`] along v.
     pub wrap_v: u32,
 }
 

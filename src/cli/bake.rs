@@ -192,7 +192,7 @@ pub(crate) fn run(options: &Options) -> CliResult {
         write_depfile(path, &bake.output, &summary, options.recipe.as_deref())?;
     }
     if let Some(picture) = options.preview.as_ref().or(recipe.preview.as_ref()) {
-        super::preview::draw_default(&bake.output, picture)?;
+        super::preview::draw_default(&bake.output, picture, recipe.camera.as_deref())?;
     }
     let backend = device.map_or_else(|| "cpu".to_owned(), VoxelDevice::name);
     report(options.format, &bake, &summary, &backend, clock.elapsed().as_secs_f64())?;

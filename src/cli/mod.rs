@@ -2,6 +2,7 @@
 
 mod against;
 mod bake;
+mod bench;
 mod camera_file;
 mod cancel;
 mod diff;
@@ -46,6 +47,8 @@ enum Command {
     Diff(diff::Options),
     /// Writes the occupied cells of an octree level as a NumPy array
     Voxels(voxels::Options),
+    /// Measures voxels and rows against exact references
+    Bench(bench::Args),
     /// Draws the octree, a slice of it, or the rows of a direction
     Preview(preview::Options),
 }
@@ -72,6 +75,7 @@ pub(crate) fn main() -> ExitCode {
         Command::Verify(options) => verify::run(options),
         Command::Diff(options) => diff::run(options),
         Command::Voxels(options) => voxels::run(options),
+        Command::Bench(options) => bench::run_command(options),
         Command::Preview(options) => preview::run(options),
     });
     match result {

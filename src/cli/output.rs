@@ -146,6 +146,6 @@ mod tests {
         let mut table = Table::new(["name", "size"]);
         table.row(["é".to_owned(), "1".to_owned()]);
         table.row(["longer".to_owned(), "12345".to_owned()]);
-        assert_eq!(table.render(), "  name     size\n  é             1\n  longer  12345\n");
+        assert_eq!(table.render(), "  name     size\n  é           1\n  longer  12345\n");
     }
 }

@@ -49,7 +49,8 @@ pub(crate) struct Options {
     /// Rays a pixel
     #[arg(long, value_name = "N", default_value_t = 4, value_parser = clap::value_parser!(u32).range(1..=1024))]
     samples: u32,
-    /// One layer of cells instead of a view, a pixel each: at a fraction (with a point: `y=0.5`) or an index (`y=12`)
+    /// One layer of cells instead of a view, a pixel each: at a
+    /// fraction of the scene's extent (with a point: `y=0.5`), or a cell's index in the cube (`y=12`)
     #[arg(long, value_name = "x|y|z=WHERE", conflicts_with = "direction")]
     slice: Option<SliceAt>,
     /// The rows of one direction instead of a view, left the depth of each row's first voxel, right how many it has:
@@ -197,14 +198,16 @@ pub(crate) fn run(options: &Options) -> CliResult {
     Ok(Exit::Done)
 }
 
-/// Draws a view of `archive` with the default options.
-pub(crate) fn draw_default(archive: &Path, picture: &Path) -> Result<(), CliError> {
+/// Draws a view of `archive` with the default options, from a camera file if there is one.
+pub(crate) fn draw_default(archive: &Path, picture: &Path, camera: Option<&Path>) -> Result<(), CliError> {
     #[derive(clap::Parser)]
     struct Defaults {
         #[command(flatten)]
         options: Options,
     }
-    let arguments = [OsStr::new("preview"), archive.as_os_str(), OsStr::new("-o"), picture.as_os_str()];
+    let camera = camera.map_or(OsStr::new("auto"), Path::as_os_str);
+    let (archive, picture) = (archive.as_os_str(), picture.as_os_str());
+    let arguments = ["preview".as_ref(), archive, "-o".as_ref(), picture, "--camera".as_ref(), camera];
     let Defaults { options } = clap::Parser::try_parse_from(arguments).map_err(CliError::usage)?;
     run(&options).map(|_| ())
 }
@@ -262,7 +265,14 @@ fn slice_picture(archive: &Archive, level: u32, at: SliceAt) -> Result<Picture, 
             );
             return Err(CliError::usage(message));
         }
-        Place::Fraction(fraction) => ((fraction * f64::from(side)) as u32).min(side - 1),
+        Place::Fraction(fraction) => {
+            let axis = at.axis as usize;
+            let [min, max] = scene_bounds(archive.scene_info());
+            let place = min[axis] + (max[axis] - min[axis]) * fraction;
+            let svo = archive.svo_info();
+            // `as` saturates.
+            (((place - svo.origin[axis]) / svo.size * f64::from(side)) as u32).min(side - 1)
+        }
     };
     let svo = archive.svo_levels(..=level)?;
     Ok(picture_slice(&svo, level, at.axis, index))

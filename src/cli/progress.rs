@@ -139,7 +139,7 @@ impl bake::Progress for Progress {
 /// An estimate in one line.
 pub(crate) fn estimate_line(estimate: &Estimate) -> String {
     format!(
-        "{} triangles, at most about {} voxels, {} of rows before compression; memory about {}",
+        "{} triangles, about {} voxels, {} of rows before compression; memory about {}",
         count(estimate.triangles),
         count(estimate.leaves),
         bytes(estimate.rows_raw_bytes),

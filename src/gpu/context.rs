@@ -144,7 +144,8 @@ impl GpuContext {
         &self.queue
     }
 
-    /// Runs `work`, and gives the first error that wgpu reports meanwhile instead of its result.
+    /// Runs `work`, which allocates `bytes`, and gives the first error that wgpu reports meanwhile instead of its
+    /// result. `what` names it.
     pub(super) fn guarded<R>(
         &self,
         what: &'static str,
@@ -157,24 +158,22 @@ impl GpuContext {
         let memory = self.device.push_error_scope(wgpu::ErrorFilter::OutOfMemory);
         let result = work();
         let errors = [memory.pop(), internal.pop(), validation.pop()].map(pollster::block_on);
-        for error in errors.into_iter().flatten() {
-            return Err(match error {
-                wgpu::Error::OutOfMemory { .. } if bytes > 0 => {
-                    DeviceError::Failed(format!("out of memory for {bytes} bytes of {what}"))
-                }
-                wgpu::Error::OutOfMemory { .. } => DeviceError::Failed(format!("out of memory: {what}")),
-                other => DeviceError::Failed(format!("{what}: {other}")),
-            });
+        if let Some(error) = errors.into_iter().flatten().next() {
+            return Err(DeviceError::Failed(match error {
+                wgpu::Error::OutOfMemory { .. } => format!("out of memory for {bytes} bytes of {what}"),
+                other => format!("{what}: {other}"),
+            }));
         }
         self.check()?;
         Ok(result)
     }
 
-    /// Waits until all submitted work is done.
-    pub(super) fn wait(&self) -> Result<(), DeviceError> {
+    /// Waits until a submission is done.
+    pub(super) fn wait(&self, submission: &wgpu::SubmissionIndex) -> Result<(), DeviceError> {
         self.check()?;
+        let until = wgpu::PollType::Wait { submission_index: Some(submission.clone()), timeout: None };
         // wgpu panics when a device is lost while it waits.
-        let polled = catch_unwind(AssertUnwindSafe(|| self.device.poll(wgpu::PollType::wait_indefinitely())));
+        let polled = catch_unwind(AssertUnwindSafe(|| self.device.poll(until)));
         let problem = match polled {
             Ok(Ok(_)) => return self.check(),
             Ok(Err(error)) => error.to_string(),

@@ -7,9 +7,12 @@ use manyview_shaders::executor::{
 use manyview_shaders::stages::Stage;
 use std::collections::BTreeMap;
 use std::sync::mpsc;
+use std::time::Duration;
 
 /// Bytes that are uploaded and submitted at once: larger pieces are several times slower.
 const UPLOAD_BYTES: usize = 4 << 20;
+/// Longest time between the end of a copy and the callback that says so.
+const CALLBACK_TIMEOUT: Duration = Duration::from_secs(60);
 /// Smallest buffer: room for one element of whatever a shader declares.
 const MIN_BUFFER_BYTES: u64 = 64;
 
@@ -77,7 +80,11 @@ impl<'a> WgpuExecutor<'a> {
     }
 
     /// Encodes and submits; what is downloaded lies in `readback` afterwards.
-    fn submit(&self, recording: &Recording, readback: Option<&wgpu::Buffer>) -> Result<(), DeviceError> {
+    fn submit(
+        &self,
+        recording: &Recording,
+        readback: Option<&wgpu::Buffer>,
+    ) -> Result<wgpu::SubmissionIndex, DeviceError> {
         let mut encoding = Encoding::new(self.context);
         let mut read = 0;
         for command in recording.commands() {
@@ -140,11 +147,16 @@ impl<'a> WgpuExecutor<'a> {
         }
         encoding.flush();
         // Uploads without a command after them.
-        self.context.queue().submit([]);
-        Ok(())
+        Ok(self.context.queue().submit([]))
     }
 
-    fn read(&self, readback: &wgpu::Buffer, words: &[usize]) -> Result<Vec<Vec<u32>>, DeviceError> {
+    fn read(
+        &self,
+        readback: &wgpu::Buffer,
+        submission: &wgpu::SubmissionIndex,
+        words: &[usize],
+    ) -> Result<Vec<Vec<u32>>, DeviceError> {
+        let failed = |reason: String| DeviceError::Failed(format!("reading back: {reason}"));
         let (send, receive) = mpsc::channel();
         self.context.guarded("reading back", 0, || {
             readback.map_async(wgpu::MapMode::Read, .., move |result| {
@@ -152,9 +164,9 @@ impl<'a> WgpuExecutor<'a> {
                 let _ = send.send(result);
             });
         })?;
-        self.context.wait()?;
-        let failed = |reason: String| DeviceError::Failed(format!("reading back: {reason}"));
-        match receive.try_recv() {
+        self.context.wait(submission)?;
+        // Another thread that waits may have taken our callback and not come to it yet.
+        match receive.recv_timeout(CALLBACK_TIMEOUT) {
             Ok(Ok(())) => {}
             Ok(Err(error)) => return Err(failed(error.to_string())),
             Err(error) => return Err(failed(error.to_string())),
@@ -293,9 +305,10 @@ impl Executor for WgpuExecutor<'_> {
                 })
             })?),
         };
-        self.context.guarded("running stages", 0, || self.submit(recording, readback.as_ref()))??;
+        let submission =
+            self.context.guarded("running stages", 0, || self.submit(recording, readback.as_ref()))??;
         match &readback {
-            Some(readback) => self.read(readback, &words),
+            Some(readback) => self.read(readback, &submission, &words),
             None => Ok(vec![Vec::new(); words.len()]),
         }
     }

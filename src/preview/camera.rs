@@ -49,24 +49,35 @@ impl Camera {
         Self { eye, target: eye + forward, up: DVec3::Y, fov_degrees }
     }
 
-    /// A camera that sees a whole box from the direction `from` (unit length, pointing from the box to the camera),
-    /// at an aspect ratio (width / height), with a margin of a part in 50.
-    pub fn fitted(min: DVec3, max: DVec3, from: DVec3, fov_degrees: f64, aspect: f64) -> Self {
-        let center = (min + max) * 0.5;
-        let camera = Self::looking(center + from, -from, fov_degrees);
-        let (right, up) = camera.axes();
-        let tangent = (fov_degrees.to_radians() * 0.5).tan();
-        let distance = (0..8).map(|corner| {
-            let corner =
-                DVec3::from([0, 1, 2].map(|i| if corner >> i & 1 == 1 { max[i] } else { min[i] })) - center;
-            // The corner is seen if the camera stands this far from the centre.
-            let sideways = corner.dot(right).abs() / aspect;
-            sideways.max(corner.dot(up).abs()) / tangent * 1.02 + corner.dot(from)
-        });
-        let distance = distance.fold(0.0, f64::max);
-        // A box without extent is seen from a metre away.
-        let distance = if distance > 0.0 { distance } else { 1.0 };
-        Self { eye: center + from * distance, target: center, up: DVec3::Y, fov_degrees }
+    /// The nearest camera that sees all `points` from the direction `from` (unit length, pointing from the points to
+    /// the camera), at an aspect ratio (width / height), with a margin.
+    pub fn fitted(points: &[DVec3], from: DVec3, fov_degrees: f64, aspect: f64) -> Self {
+        let forward = -from;
+        let (right, up) = Self::looking(from, forward, fov_degrees).axes();
+        // A margin of a part in 25 on each side.
+        let tangent = (fov_degrees.to_radians() * 0.5).tan() * 0.92;
+        // A camera at (x, z) sees the point (p, q) if |p - x| ≤ (q - z) · tangent: two half planes for each point, of
+        // which only the outermost matter.
+        let place = |side: DVec3, tangent: f64| {
+            let outermost = |side: DVec3| {
+                points
+                    .iter()
+                    .map(|p| p.dot(side) - p.dot(forward) * tangent)
+                    .fold(f64::NEG_INFINITY, f64::max)
+            };
+            let (a, b) = (outermost(side), outermost(-side));
+            ((a - b) * 0.5, -(a + b) * 0.5 / tangent)
+        };
+        let (x, z_across) = place(right, tangent * aspect);
+        let (y, z_up) = place(up, tangent);
+        let (near, far) = points
+            .iter()
+            .map(|p| p.dot(forward))
+            .fold((f64::INFINITY, f64::NEG_INFINITY), |(near, far), q| (near.min(q), far.max(q)));
+        // Points without extent are seen from a metre away.
+        let z = z_across.min(z_up).min(near - if far > near { 0.0 } else { 1.0 });
+        let eye = right * x + up * y + forward * z;
+        Self { eye, target: eye + forward * ((near + far) * 0.5 - z), up: DVec3::Y, fov_degrees }
     }
 
     /// Unit vectors to the right and up in the picture.
@@ -143,23 +154,28 @@ mod tests {
     }
 
     #[test]
-    fn a_fitted_camera_sees_every_corner() {
+    fn a_fitted_camera_sees_every_point_and_stands_no_farther_than_it_must() {
         let (min, max) = (DVec3::new(-1.0, 0.0, -20.0), DVec3::new(3.0, 9.0, 2.0));
+        let corners: Vec<DVec3> = (0..8)
+            .map(|c| DVec3::from([0, 1, 2].map(|i| if c >> i & 1 == 1 { max[i] } else { min[i] })))
+            .collect();
         for from in [DVec3::new(0.6, 0.5, 0.7), DVec3::Y, DVec3::X, DVec3::new(-0.2, 0.1, -0.9)] {
-            let from = from.normalize_or_zero();
-            let camera = Camera::fitted(min, max, from, 40.0, 1.6);
+            let camera = Camera::fitted(&corners, from.normalize_or_zero(), 40.0, 1.6);
             let rays = camera.ray_maker(160, 100).unwrap();
-            for corner in 0..8 {
-                let corner =
-                    DVec3::from([0, 1, 2].map(|i| if corner >> i & 1 == 1 { max[i] } else { min[i] }));
-                let to = corner - camera.eye;
+            let mut largest = [0.0f64; 2];
+            for corner in &corners {
+                let to = *corner - camera.eye;
                 let depth = to.dot(rays.forward);
                 assert!(depth > 0.0);
-                let x = to.dot(rays.right) / rays.right.length_squared() / depth;
-                let y = to.dot(rays.up) / rays.up.length_squared() / depth;
-                assert!(x.abs() <= 1.0 && y.abs() <= 1.0, "{from} {x} {y}");
+                for (largest, side) in largest.iter_mut().zip([rays.right, rays.up]) {
+                    *largest = largest.max((to.dot(side) / side.length_squared() / depth).abs());
+                }
             }
+            let tightest = largest[0].max(largest[1]);
+            assert!((0.91..0.93).contains(&tightest), "{from} {largest:?}");
         }
+        let camera = Camera::fitted(&[DVec3::ONE], DVec3::Z, 40.0, 1.0);
+        assert_eq!((camera.eye, camera.target), (DVec3::new(1.0, 1.0, 2.0), DVec3::ONE));
     }
 
     #[test]

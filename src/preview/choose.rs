@@ -25,6 +25,8 @@ const PROBES: u32 = 192;
 const PROBE_RAYS: u32 = 64;
 /// Share of the free points that must be in rooms for the scene to be shown from inside.
 const ROOM_SHARE: f64 = 0.4;
+/// Level whose cells are fitted into the picture.
+const FITTED_LEVEL: u32 = 6;
 /// Rays a row of a candidate's picture; it has as many rows as its aspect ratio asks for.
 const TRIAL_WIDTH: u32 = 48;
 
@@ -42,6 +44,8 @@ struct Probe {
     point: DVec3,
     /// Whether it is like a point in a room.
     is_room: bool,
+    /// Whether it has much around it, and that shows its front; a yard or a street, say.
+    is_sheltered: bool,
     /// Geometric mean of the distances to what is around, metres.
     openness: f64,
 }
@@ -55,9 +59,15 @@ pub fn choose_camera(scene: &Scene, bounds: [DVec3; 2], aspect: f64, choice: Cam
         CameraChoice::Inside => true,
         CameraChoice::Auto => rooms >= ROOM_SHARE * probes.len() as f64 && rooms >= 4.0,
     };
-    let candidates = if inside { inside_candidates(probes) } else { Vec::new() };
-    let candidates = if candidates.is_empty() { outside_candidates(bounds, aspect) } else { candidates };
-    let score = |&(camera, bonus): &(Camera, f64)| score(scene, &camera, aspect) * bonus;
+    let inside = inside && !probes.is_empty();
+    let candidates =
+        if inside { inside_candidates(probes) } else { outside_candidates(scene, bounds, aspect) };
+    let extent = (bounds[1] - bounds[0]).max_element();
+    let score = |&(camera, bonus): &(Camera, f64)| {
+        let (score, near) = score(scene, &camera, aspect);
+        // Indoors, a view along a hall is better than one into a corner.
+        score * bonus * if inside { (near / extent).powf(0.4) } else { 1.0 }
+    };
     let scores: Vec<f64> = candidates.par_iter().map(score).collect();
     // The first of equals, whatever the threads did.
     let best = (0..candidates.len()).fold(0, |best, i| if scores[i] > scores[best] { i } else { best });
@@ -89,16 +99,18 @@ fn probe(scene: &Scene, [min, max]: [DVec3; 2], number: u32) -> Option<Probe> {
             fronts += u32::from(normal.dot(direction) < 0.0);
         }
     }
-    let is_room = hits * 10 >= PROBE_RAYS * 9 && fronts * 4 >= faced * 3;
-    Some(Probe { point, is_room, openness: (log_sum / f64::from(PROBE_RAYS)).exp() })
+    let shows_fronts = fronts * 4 >= faced * 3;
+    let is_room = hits * 10 >= PROBE_RAYS * 9 && shows_fronts;
+    let is_sheltered = hits * 10 >= PROBE_RAYS * 6 && shows_fronts;
+    Some(Probe { point, is_room, is_sheltered, openness: (log_sum / f64::from(PROBE_RAYS)).exp() })
 }
 
 fn inside_candidates(mut probes: Vec<Probe>) -> Vec<(Camera, f64)> {
-    let any_room = probes.iter().any(|probe| probe.is_room);
-    probes.retain(|probe| probe.is_room || !any_room);
+    let any_sheltered = probes.iter().any(|probe| probe.is_sheltered);
+    probes.retain(|probe| probe.is_sheltered || !any_sheltered);
     probes.sort_by(|a, b| b.openness.total_cmp(&a.openness));
     let mut candidates = Vec::new();
-    for probe in probes.iter().take(16) {
+    for probe in probes.iter().take(24) {
         for turn in 0..12 {
             let (sine, cosine) = sin_cos(f64::from(turn) / 12.0 * TAU);
             let forward = DVec3::new(cosine, -0.09, sine).normalize_or(DVec3::X);
@@ -108,8 +120,16 @@ fn inside_candidates(mut probes: Vec<Probe>) -> Vec<(Camera, f64)> {
     candidates
 }
 
-fn outside_candidates([min, max]: [DVec3; 2], aspect: f64) -> Vec<(Camera, f64)> {
+fn outside_candidates(scene: &Scene, [min, max]: [DVec3; 2], aspect: f64) -> Vec<(Camera, f64)> {
     let extent = max - min;
+    let octree = scene.octree();
+    let level = octree.depth().min(FITTED_LEVEL);
+    let edge = octree.cell_size(level);
+    let corners = octree.corners(level).into_iter().flat_map(|corner| {
+        // A cell may reach beyond the scene.
+        (0..8).map(move |c| (DVec3::from(corner) + corner_of_cube(c) * edge).clamp(min, max))
+    });
+    let corners: Vec<DVec3> = corners.collect();
     // Flat scenes are seen from higher up, or little of them is.
     let flat = extent.y < 0.25 * extent.x.max(extent.z);
     let mut candidates = Vec::new();
@@ -119,19 +139,24 @@ fn outside_candidates([min, max]: [DVec3; 2], aspect: f64) -> Vec<(Camera, f64)>
             let from = DVec3::new(cosine, height, sine).normalize_or(DVec3::Z);
             // glTF's front is +Z: of views that are about as good, one from there.
             let front_bonus = 1.0 + 0.12 * sine;
-            let camera = Camera::fitted(min, max, from, OUTSIDE_FOV, aspect);
+            let camera = Camera::fitted(&corners, from, OUTSIDE_FOV, aspect);
             candidates.push((camera, height_bonus * front_bonus));
         }
     }
     candidates
 }
 
+/// Corner `c` of the unit cube.
+fn corner_of_cube(c: u32) -> DVec3 {
+    DVec3::from([0, 1, 2].map(|i| f64::from(c >> i & 1)))
+}
+
 /// How much a camera sees: the share of its picture that is filled, weighted by how varied depths are and how much of
-/// what it sees are front sides.
-fn score(scene: &Scene, camera: &Camera, aspect: f64) -> f64 {
+/// what it sees are front sides. Also returns the distance beyond which four fifths of it are, metres.
+fn score(scene: &Scene, camera: &Camera, aspect: f64) -> (f64, f64) {
     const BINS: usize = 24;
     let height = ((f64::from(TRIAL_WIDTH) / aspect).round() as u32).clamp(1, 4 * TRIAL_WIDTH);
-    let Ok(rays) = camera.ray_maker(TRIAL_WIDTH, height) else { return 0.0 };
+    let Ok(rays) = camera.ray_maker(TRIAL_WIDTH, height) else { return (0.0, 0.0) };
     let mut depths = Vec::new();
     let (mut faced, mut fronts) = (0u32, 0u32);
     for y in 0..height {
@@ -147,7 +172,7 @@ fn score(scene: &Scene, camera: &Camera, aspect: f64) -> f64 {
     }
     let rays = f64::from(TRIAL_WIDTH * height);
     depths.sort_by(f64::total_cmp);
-    let [Some(near), Some(far)] = [depths.first(), depths.last()] else { return 0.0 };
+    let [Some(near), Some(far)] = [depths.first(), depths.last()] else { return (0.0, 0.0) };
     // Entropy of the depths over bins of an eighth of an octave or more: 0 for a wall, 1 for all depths alike.
     let width = ((far - near) / BINS as f64).max(0.09);
     let mut bins = [0u32; BINS];
@@ -165,7 +190,7 @@ fn score(scene: &Scene, camera: &Camera, aspect: f64) -> f64 {
     let variety = entropy / (BINS as f64).ln();
     let filled = depths.len() as f64 / rays;
     let front = if faced > 0 { f64::from(fronts) / f64::from(faced) } else { 0.5 };
-    filled * (0.3 + variety) * (0.25 + front)
+    (filled * (0.3 + variety) * (0.25 + front), depths[depths.len() / 5].exp())
 }
 
 /// Direction `i` of `count` that cover the sphere evenly (a Fibonacci spiral).

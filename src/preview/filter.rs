@@ -9,7 +9,7 @@ use super::view::Pixel;
 /// Passes of the smoothing filter; the reach doubles with each.
 const SMOOTHING_PASSES: usize = 4;
 /// How much of the emitted light glows around its source.
-const GLOW: f32 = 0.35;
+const GLOW: f32 = 0.22;
 /// Emitted light beyond this adds nothing to the glow.
 const GLOW_LIMIT: f32 = 8.0;
 
@@ -24,39 +24,40 @@ pub(super) fn develop(pixels: &mut [Pixel], width: usize) -> Picture {
     let height = pixels.len() / width;
     let source = pixels.iter().map(|p| p.emitted.min(Vec3::splat(GLOW_LIMIT)) * p.hits).collect();
     let glow = blurred(source, width, height as f32 * 0.012);
-    let color: Vec<_> = pixels
-        .iter()
-        .zip(glow)
-        .map(|(p, glow)| {
-            let surface = p.surface * p.light + p.emitted;
-            (p.sky.lerp(surface, p.hits) + glow * GLOW).to_array()
-        })
-        .collect();
-    expose_by(width as u32, height as u32, color, |index| pixels[index].hits > 0.0)
+    let surfaces = pixels.iter().map(|p| p.surface * p.light + p.emitted);
+    let exposure =
+        exposure(surfaces.clone().zip(pixels.iter()).filter(|(_, p)| p.hits > 0.0).map(|(c, _)| c));
+    let color = surfaces.zip(pixels.iter()).zip(glow).map(|((surface, p), glow)| {
+        // The sky looks the same whatever the exposure.
+        ((p.sky / exposure).lerp(surface, p.hits) + glow * GLOW).to_array()
+    });
+    expose_by(width as u32, height as u32, color.collect(), exposure)
 }
 
 /// Tone-maps linear colours, exposed for the pixels that are not black.
 pub(super) fn expose(width: u32, height: u32, color: Vec<[f32; 3]>) -> Picture {
-    let lit: Vec<bool> = color.iter().map(|c| c.iter().any(|&c| c > 0.0)).collect();
-    expose_by(width, height, color, |index| lit[index])
+    let exposure = exposure(color.iter().map(|&c| Vec3::from(c)).filter(|c| c.max_element() > 0.0));
+    expose_by(width, height, color, exposure)
 }
 
-fn expose_by(width: u32, height: u32, color: Vec<[f32; 3]>, counts: impl Fn(usize) -> bool) -> Picture {
-    let mut sum = 0.0;
-    let mut count = 0u32;
-    for (_, color) in color.iter().enumerate().filter(|(index, _)| counts(*index)) {
-        sum += f64::from((luminance(*color) + 1e-3).ln());
-        count += 1;
+/// The factor that brings colours half way to a middle grey, so that bright scenes stay brighter than dark ones.
+fn exposure(colors: impl Iterator<Item = Vec3>) -> f32 {
+    let logs = colors.map(|color| f64::from((luminance(color) + 1e-3).ln()));
+    let (sum, count) = logs.fold((0.0, 0u32), |(sum, count), log| (sum + log, count + 1));
+    if count == 0 {
+        return 1.0;
     }
-    let mean = if count > 0 { (sum / f64::from(count)).exp() as f32 } else { 0.3 };
-    // Half way to a middle grey, so that bright scenes stay brighter than dark ones.
-    let exposure = (0.30 / mean).sqrt().clamp(0.5, 3.0);
+    let mean = (sum / f64::from(count)).exp() as f32;
+    (0.30 / mean).sqrt().clamp(0.5, 3.0)
+}
+
+fn expose_by(width: u32, height: u32, color: Vec<[f32; 3]>, exposure: f32) -> Picture {
     let display = color.par_iter().map(|&c| picture::display(c.map(|c| tone_mapped(c * exposure)))).collect();
     Picture { width, height, color, display, layers: Vec::new() }
 }
 
-fn luminance(color: [f32; 3]) -> f32 {
-    0.2126 * color[0] + 0.7152 * color[1] + 0.0722 * color[2]
+fn luminance(color: Vec3) -> f32 {
+    color.dot(Vec3::new(0.2126, 0.7152, 0.0722))
 }
 
 /// Narkowicz's fit (2015) of the ACES curve.

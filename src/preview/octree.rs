@@ -124,6 +124,26 @@ impl Octree {
         Some(node)
     }
 
+    /// Smallest corners of the cells at `level` that are there, metres, in Morton order.
+    pub fn corners(&self, level: u32) -> Vec<[f64; 3]> {
+        let level = level.min(self.depth);
+        let mut cells = vec![[0u32; 3]];
+        for nodes in &self.inner[..level as usize] {
+            let children = cells.iter().zip(nodes).flat_map(|(cell, node)| {
+                let octants = (0..8u32).filter(|octant| node.child_mask >> octant & 1 == 1);
+                octants.map(|octant| [0, 1, 2].map(|i| cell[i] * 2 + (octant >> i & 1)))
+            });
+            cells = children.collect();
+        }
+        let edge = self.cell_size(level);
+        cells.into_iter().map(|cell| [0, 1, 2].map(|i| self.origin[i] + f64::from(cell[i]) * edge)).collect()
+    }
+
+    /// Edge of a cell at `level`, metres.
+    pub fn cell_size(&self, level: u32) -> f64 {
+        self.voxel * f64::from(1u32 << (self.depth - level))
+    }
+
     /// The closest node at `level` (or the deepest level, if there are fewer) that a ray meets. A ray with a
     /// coordinate that is not finite meets nothing.
     pub fn intersect(&self, ray: &Ray, level: u32) -> Option<Hit> {

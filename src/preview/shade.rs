@@ -33,17 +33,16 @@ impl Light {
         Self { sun, sun_color: Vec3::new(2.3, 2.1, 1.8), reach: extent * 0.06 }
     }
 
-    /// What is seen where there is nothing.
+    /// What is seen where there is nothing, as it shall look once exposed.
     pub(super) fn sky(&self, direction: DVec3) -> Vec3 {
-        let horizon = Vec3::new(0.72, 0.78, 0.84);
-        let zenith = Vec3::new(0.22, 0.40, 0.72);
-        let ground = Vec3::new(0.30, 0.29, 0.28);
+        let ground = Vec3::new(0.40, 0.43, 0.46);
+        let horizon = Vec3::new(0.62, 0.74, 0.85);
+        let zenith = Vec3::new(0.16, 0.34, 0.70);
         let height = direction.y as f32;
-        if height >= 0.0 {
-            horizon.lerp(zenith, height.sqrt())
-        } else {
-            horizon.lerp(ground, (-height * 8.0).min(1.0))
-        }
+        // Wide blends: a sharp horizon would look like a part of the scene.
+        let above = ((height + 0.45) / 0.6).clamp(0.0, 1.0);
+        let haze = ground.lerp(horizon, above * above * (3.0 - 2.0 * above));
+        haze.lerp(zenith, (height - 0.02).clamp(0.0, 1.0).sqrt())
     }
 
     /// Light that arrives at a hit, for a white surface. `random` are four numbers in 0 … 1.
@@ -86,10 +85,13 @@ impl Light {
         light
             + match scene.octree().intersect(&gather, hit.level) {
                 None => self.ambient(towards),
+                // In a crease the ray may begin inside a neighbour, which tells nothing of what is around.
+                Some(found) if found.face.is_none() => self.ambient(towards) * 0.6,
                 Some(found) => {
                     let emitted = Vec3::from(scene.emitted(&found)).min(Vec3::splat(GATHER_LIMIT));
                     let near = (found.t / self.reach) as f32;
-                    emitted + Vec3::from(scene.base_color(&found)) * self.ambient(towards) * (0.55 * near)
+                    emitted
+                        + Vec3::from(scene.base_color(&found)) * self.ambient(towards) * (0.15 + 0.45 * near)
                 }
             }
     }

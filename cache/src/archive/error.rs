@@ -188,7 +188,7 @@ impl fmt::Display for ArchiveErrorKind {
             Self::UnsupportedCodec { found } => {
                 write!(
                     f,
-                    "codec {found} is unknown to this program (it knows 0 raw, 1 zstd); update manyview"
+                    "codec {found} is unknown to this program (it knows 0 raw, 1 zstd, 2 sparse); update manyview"
                 )
             }
             Self::Corrupt { what, expected, found } => {

@@ -5,6 +5,7 @@ mod error;
 mod format;
 mod reader;
 mod source;
+pub mod sparse;
 mod verify;
 mod writer;
 

@@ -1,7 +1,7 @@
 //! Depth peeling: layer after layer, until one is empty.
 //!
 //! # Theory
-//! [WMP] Algorithm 1: render the triangles along each axis, discard what is not behind the layer before, until nothing
+//! \[WMP\] Algorithm 1: render the triangles along each axis, discard what is not behind the layer before, until nothing
 //! is left. Depth is a voxel here, so that a layer has the nearest *voxel* behind the layer before and a column of
 //! n voxels has at most n layers.
 //!
@@ -96,7 +96,6 @@ pub(super) fn peel_piece(
     recording.clear(count_buffer);
     work.executor.run(&recording)?;
 
-    let mut counted = 0;
     for views in views.chunks((columns * rows) as usize) {
         let peel = [PeelParams { cell, columns, rows, views: views.len() as u32 }];
         let mut recording = Recording::new();
@@ -109,7 +108,7 @@ pub(super) fn peel_piece(
                 recording.clear_depth(layer, 1.0);
                 recording.draw(
                     &stages::peel,
-                    [6 * triangles.len() as u32, views.len() as u32],
+                    [3 * triangles.len() as u32, views.len() as u32],
                     &[
                         params_buffer.into(),
                         peel_buffer.into(),
@@ -140,10 +139,7 @@ pub(super) fn peel_piece(
             }
             // The count goes on from layer to layer: one that adds nothing is empty, and so are all behind it.
             let counts = work.executor.run(&recording)?;
-            let last = counted;
-            counted = counts[LAYERS_PER_RUN - 1][0];
-            let before = if LAYERS_PER_RUN > 1 { counts[LAYERS_PER_RUN - 2][0] } else { last };
-            if counted == before {
+            if counts[LAYERS_PER_RUN - 1] == counts[LAYERS_PER_RUN - 2] {
                 break;
             }
             recording = Recording::new();

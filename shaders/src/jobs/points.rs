@@ -1,4 +1,5 @@
 use super::{Workspace, bit_words};
+use crate::constants::PAIRS_PER_INVOCATION;
 use crate::device::DeviceError;
 use crate::directions::DirectionFrame;
 use crate::executor::{Executor, Recording};
@@ -49,7 +50,7 @@ pub fn rotate_points(
             recording.upload(points_buffer, points);
             recording.dispatch(
                 &stages::rotate_points,
-                [params[0].pairs.div_ceil(64), frames.len() as u32, 1],
+                [params[0].pairs.div_ceil(64 * PAIRS_PER_INVOCATION), frames.len() as u32, 1],
                 &[params_buffer.into(), frames_buffer.into(), points_buffer.into(), out.into()],
             );
             work.executor.run(&recording)?;

@@ -18,6 +18,10 @@ pub(super) struct TriangleBuffers {
     pub(super) alpha: BufferId,
 }
 
+/// What is done with a piece.
+pub(super) type PieceJob<'a> =
+    dyn FnMut(&mut Workspace, TriangleBuffers, &[PackedTriangle]) -> Result<(), DeviceError> + 'a;
+
 /// Alpha planes that fit one buffer together.
 struct PlaneGroup {
     range: Range<usize>,
@@ -37,7 +41,7 @@ pub(super) fn for_each_piece(
     work: &mut Workspace,
     batch: &TriangleBatch,
     piece: usize,
-    job: &mut dyn FnMut(&mut Workspace, TriangleBuffers, &[PackedTriangle]) -> Result<(), DeviceError>,
+    job: &mut PieceJob,
 ) -> Result<(), DeviceError> {
     check(batch)?;
     let groups = plane_groups(batch.planes, work.executor.limits().binding_bytes)?;
@@ -87,7 +91,7 @@ fn run_piece(
     buffers: TriangleBuffers,
     triangles: &mut Vec<PackedTriangle>,
     masks: &mut Vec<TriangleMask>,
-    job: &mut dyn FnMut(&mut Workspace, TriangleBuffers, &[PackedTriangle]) -> Result<(), DeviceError>,
+    job: &mut PieceJob,
 ) -> Result<(), DeviceError> {
     if !masks.is_empty() {
         let mut recording = Recording::new();

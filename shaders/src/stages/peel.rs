@@ -26,7 +26,7 @@ pub(super) fn twin(counts: [u32; 2], bindings: &mut [CpuBinding], target: &mut D
         clip.max[x] = clip.max[x].min(view.window_x + peel.cell as i32);
         clip.max[y] = clip.max[y].min(view.window_y + peel.cell as i32);
         let corner = peel.corner(instance as u32);
-        for triangle in 0..counts[0] / 6 {
+        for triangle in 0..counts[0] / 3 {
             let Some(raster) = inputs.project(triangle, view.direction, view.axis) else { continue };
             let packed = &inputs.triangles[triangle as usize];
             raster.fragments(&clip, |fragment| {

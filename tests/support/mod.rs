@@ -1,0 +1,106 @@
+//! Octrees and archives for tests.
+
+#![allow(dead_code, reason = "each test file uses a part of it")]
+
+use std::collections::BTreeMap;
+use std::path::Path;
+use std::process::{Command, Output};
+
+use manyview_cache::archive::{Archive as Container, ArchiveWriter};
+use manyview_pipeline::bake::{BakeOptions, RowsFrom, Silent, bake};
+use manyview_pipeline::generate::{SceneKind, generate};
+use manyview_pipeline::reduce::reduce_level;
+use manyview_pipeline::rows::RowsOptions;
+use manyview_shaders::directions::{DirectionSet, Fit};
+use manyview_shaders::octahedral;
+use manyview_shaders::svo::{Svo, SvoLevel};
+
+/// A generator of numbers from a seed (xorshift).
+pub(crate) struct Numbers(pub u64);
+
+impl Numbers {
+    /// The next number.
+    pub(crate) fn next(&mut self) -> u64 {
+        self.0 ^= self.0 << 13;
+        self.0 ^= self.0 >> 7;
+        self.0 ^= self.0 << 17;
+        self.0
+    }
+
+    /// A number in 0 … 1.
+    pub(crate) fn unit(&mut self) -> f64 {
+        (self.next() >> 11) as f64 / (1u64 << 53) as f64
+    }
+}
+
+fn morton(cell: [u32; 3]) -> u64 {
+    (0..48).fold(0, |code, bit| code | u64::from(cell[bit % 3] >> (bit / 3) & 1) << bit)
+}
+
+/// An octree of the given voxels, coloured by their coordinates, with normals up.
+pub(crate) fn octree(origin: [f64; 3], size: f64, depth: u32, voxels: &[[u32; 3]]) -> Svo {
+    let voxels: BTreeMap<u64, [u32; 3]> = voxels.iter().map(|&voxel| (morton(voxel), voxel)).collect();
+    let mut level = SvoLevel::default();
+    for voxel in voxels.values() {
+        level.colors.push(voxel.map(|c| (c * 37 + 60) as u8));
+        level.normals.push(octahedral::encode([0.0, 1.0, 0.0]));
+        level.cones.push(0);
+    }
+    let mut codes: Vec<u64> = voxels.into_keys().collect();
+    let mut levels = vec![level];
+    for _ in 0..depth {
+        let mut masks: BTreeMap<u64, u8> = BTreeMap::new();
+        for code in codes {
+            *masks.entry(code >> 3).or_default() |= 1 << (code & 7);
+        }
+        levels.push(reduce_level(masks.values().copied().collect(), &levels[levels.len() - 1]));
+        codes = masks.into_keys().collect();
+    }
+    levels.reverse();
+    let svo = Svo { origin, size, levels };
+    svo.validate().unwrap();
+    svo
+}
+
+/// Bakes a small town into an archive: `levels` deep, 6 × 6 directions of 32³ unless it shall have none.
+pub(crate) fn bake_town(path: &Path, levels: u32, seed: u64, with_rows: bool) {
+    let rows = RowsOptions {
+        bits: 5,
+        directions: DirectionSet::LatLong { thetas: 6, phis: 6 },
+        fit: Fit::Extent,
+        from: RowsFrom::Points,
+    };
+    let options = BakeOptions { levels, rows: with_rows.then_some(rows), ..BakeOptions::default() };
+    let scene = generate(SceneKind::Town, 5_000, seed);
+    let mut writer = ArchiveWriter::create(path).unwrap();
+    bake(&scene, &options, None, &mut writer, &Silent).unwrap();
+    writer.finish().unwrap();
+}
+
+/// Writes the sections of `from` as `change` leaves them (`None` to leave one out) into a new, valid container.
+pub(crate) fn rewrite(from: &Path, to: &Path, mut change: impl FnMut(&str, u32, Vec<u8>) -> Option<Vec<u8>>) {
+    let container = Container::open(from).unwrap();
+    let mut writer = ArchiveWriter::create(to).unwrap();
+    for section in container.sections() {
+        let content = container.read_section(section).unwrap();
+        if let Some(content) = change(section.id.name.as_str(), section.id.item, content) {
+            writer.begin_section(section.id.name.as_str(), section.id.item).unwrap();
+            writer.append_raw(&content).unwrap();
+        }
+    }
+    writer.finish().unwrap();
+}
+
+/// Runs the program.
+pub(crate) fn manyview(arguments: &[&str]) -> Output {
+    Command::new(env!("CARGO_BIN_EXE_manyview")).args(arguments).output().unwrap()
+}
+
+/// Runs the program, expects an exit code, and returns what it wrote to stdout and stderr.
+pub(crate) fn expect_exit(code: i32, arguments: &[&str]) -> (String, String) {
+    let output = manyview(arguments);
+    let stdout = String::from_utf8(output.stdout).unwrap();
+    let stderr = String::from_utf8(output.stderr).unwrap();
+    assert_eq!(output.status.code(), Some(code), "{arguments:?}\n{stdout}\n{stderr}");
+    (stdout, stderr)
+}
