@@ -19,6 +19,7 @@ use manyview_shaders::sections::{SceneInfo, name};
 use manyview_shaders::svo::{MAX_LEVELS, Svo};
 use rayon::prelude::*;
 use std::io::{Seek, Write};
+use std::ops::RangeInclusive;
 use thiserror::Error;
 
 pub use crate::rows::RowsFrom;
@@ -66,6 +67,24 @@ impl Default for BakeOptions {
     }
 }
 
+impl BakeOptions {
+    /// Whether all parameters are in range, whatever the scene.
+    pub fn check(&self) -> Result<(), BakeError> {
+        let check = |parameter, found: u32, range: RangeInclusive<u32>, allowed| {
+            if range.contains(&found) {
+                Ok(())
+            } else {
+                Err(BakeError::Parameter { parameter, found: u64::from(found), allowed })
+            }
+        };
+        check("--levels", self.levels, 1..=MAX_LEVELS, "1 to 13")?;
+        if let Some(rows) = &self.rows {
+            check("--rows (as log2)", rows.bits, 5..=8, "32, 64, 128 or 256 voxels a side")?;
+        }
+        Ok(())
+    }
+}
+
 /// Why there is no archive.
 #[derive(Debug, Error)]
 pub enum BakeError {
@@ -78,6 +97,15 @@ pub enum BakeError {
     /// Every triangle is cut away by its alpha.
     #[error("alpha cuts away every triangle of the scene: check the materials' alpha cutoffs and textures")]
     AllTransparent,
+    /// No triangle has a fragment.
+    #[error(
+        "no voxel is hit: every triangle of the scene has no area, is thinner than a voxel, or is cut away by alpha; \
+         check the scene, or raise --levels (now {levels})"
+    )]
+    NoVoxels {
+        /// Octree depth asked for.
+        levels: u32,
+    },
     /// The bounds are a point, not finite, or beyond what floats can hold.
     #[error(
         "the scene's bounds {min:?} .. {max:?} (metres) have no size or are not finite: check the node transforms for \
@@ -193,17 +221,7 @@ pub(crate) struct Placement {
 
 impl Placement {
     pub(crate) fn new(scene: &Scene, options: &BakeOptions) -> Result<Self, BakeError> {
-        let check = |parameter, found: u32, range: std::ops::RangeInclusive<u32>, allowed| {
-            if range.contains(&found) {
-                Ok(())
-            } else {
-                Err(BakeError::Parameter { parameter, found: u64::from(found), allowed })
-            }
-        };
-        check("--levels", options.levels, 1..=MAX_LEVELS, "1 to 13")?;
-        if let Some(rows) = &options.rows {
-            check("--rows (as log2)", rows.bits, 5..=8, "32, 64, 128 or 256 voxels a side")?;
-        }
+        options.check()?;
         let triangles = scene.drawn_triangles();
         let (min, max) = match scene.bounds() {
             Some(bounds) if triangles > 0 => (bounds.0.to_array(), bounds.1.to_array()),
@@ -279,6 +297,9 @@ pub fn bake<W: Write + Seek>(
     let mut points = 0;
     if let Some(rows) = options.rows {
         row_triangles = LatticeTriangles::new(scene, &cutouts, |p| lattice.snap(p.to_array()));
+        if progress.cancelled() {
+            return Err(BakeError::Cancelled);
+        }
         progress.begin("row points", 1, "sets");
         plan = Some(RowsPlan::new(rows, lattice, &row_triangles, &cutouts));
         progress.advance(1);
@@ -359,7 +380,7 @@ fn build_octree(
         }
     };
     if built.is_empty() {
-        return Err(BakeError::AllTransparent);
+        return Err(BakeError::NoVoxels { levels: options.levels });
     }
     Ok(octree::build(cube, grid, brick_bits, built))
 }

@@ -35,43 +35,36 @@ pub struct Bricks {
     /// Brick (Morton code) in the upper half, triangle in the lower half; ascending.
     entries: Vec<u64>,
     /// Start of each brick in `entries`, and the end.
-    starts: Vec<u32>,
+    starts: Vec<usize>,
 }
 
+/// Triangles that one task bins.
+const CHUNK: usize = 4096;
+
 impl Bricks {
-    /// Bins triangles into bricks of `2^brick_bits` voxels a side by their bounds and planes.
+    /// Bins triangles into bricks of `2^brick_bits` voxels a side. Triangles without area, which have no fragments, are
+    /// in none.
     pub fn new(grid: Grid, brick_bits: u32, triangles: &[[[i16; 3]; 3]]) -> Self {
         let brick_bits = brick_bits.min(grid.bits);
         let shift = brick_bits + grid.sub_bits;
         let mut entries: Vec<u64> = triangles
-            .par_iter()
+            .par_chunks(CHUNK)
             .enumerate()
-            .flat_map_iter(|(index, triangle)| {
-                let v = triangle.map(|p| p.map(i32::from));
-                let lo = [0, 1, 2].map(|i| v[0][i].min(v[1][i]).min(v[2][i]) >> shift);
-                let hi = [0, 1, 2].map(|i| v[0][i].max(v[1][i]).max(v[2][i]) >> shift);
-                let plane = Plane::of(&v);
-                let mut bricks = Vec::new();
-                for z in lo[2]..=hi[2] {
-                    for y in lo[1]..=hi[1] {
-                        for x in lo[0]..=hi[0] {
-                            if lo == hi || plane.touches([x, y, z], shift) {
-                                bricks.push(
-                                    u64::from(morton([x as u32, y as u32, z as u32])) << 32 | index as u64,
-                                );
-                            }
-                        }
-                    }
+            .flat_map_iter(|(chunk, triangles)| {
+                let mut entries = Vec::with_capacity(triangles.len() * 2);
+                for (index, triangle) in (chunk * CHUNK..).zip(triangles) {
+                    cells_touched(&triangle.map(|p| p.map(i64::from)), shift, |cell| {
+                        let code = morton(cell.map(|c| c as u32));
+                        entries.push(u64::from(code) << 32 | index as u64);
+                    });
                 }
-                bricks
+                entries
             })
             .collect();
         entries.par_sort_unstable();
-        let mut starts: Vec<u32> = (0..entries.len())
-            .filter(|&i| i == 0 || entries[i - 1] >> 32 != entries[i] >> 32)
-            .map(|i| i as u32)
-            .collect();
-        starts.push(entries.len() as u32);
+        let mut starts: Vec<usize> =
+            (0..entries.len()).filter(|&i| i == 0 || entries[i - 1] >> 32 != entries[i] >> 32).collect();
+        starts.push(entries.len());
         Self { grid, brick_bits, entries, starts }
     }
 
@@ -87,7 +80,7 @@ impl Bricks {
 
     /// Morton code, box and triangles of brick `index`; bricks come in Morton order.
     pub fn brick(&self, index: usize) -> (u32, VoxelBox, Vec<u32>) {
-        let entries = &self.entries[self.starts[index] as usize..self.starts[index + 1] as usize];
+        let entries = &self.entries[self.starts[index]..self.starts[index + 1]];
         let code = (entries[0] >> 32) as u32;
         let min = cell_of_morton(code).map(|c| (c << self.brick_bits) as i32);
         let clip = VoxelBox { min, max: min.map(|c| c + (1 << self.brick_bits)) };
@@ -95,33 +88,52 @@ impl Bricks {
     }
 }
 
-/// A triangle's plane, for asking whether it passes through a box.
-struct Plane {
-    normal: [i64; 3],
-    at: [i64; 3],
-}
-
-impl Plane {
-    fn of(v: &[[i32; 3]; 3]) -> Self {
-        let e = |i: usize, c: usize| i64::from(v[i][c] - v[0][c]);
-        let normal = [
-            e(1, 1) * e(2, 2) - e(1, 2) * e(2, 1),
-            e(1, 2) * e(2, 0) - e(1, 0) * e(2, 2),
-            e(1, 0) * e(2, 1) - e(1, 1) * e(2, 0),
-        ];
-        Self { normal, at: v[0].map(i64::from) }
+/// Visits the cubic cells of edge `2^shift` that a triangle passes through, and few others: columns of cells along the
+/// axis that the triangle faces most, each from the lowest to the highest point of the plane in it. So the work grows
+/// with the triangle's projected bounds, not with the volume of its bounds.
+fn cells_touched(triangle: &[[i64; 3]; 3], shift: u32, mut visit: impl FnMut([i64; 3])) {
+    let lo = [0, 1, 2].map(|i| triangle.iter().map(|v| v[i]).min().expect("three vertices") >> shift);
+    let hi = [0, 1, 2].map(|i| triangle.iter().map(|v| v[i]).max().expect("three vertices") >> shift);
+    let e = |i: usize, c: usize| triangle[i][c] - triangle[0][c];
+    let normal = [
+        e(1, 1) * e(2, 2) - e(1, 2) * e(2, 1),
+        e(1, 2) * e(2, 0) - e(1, 0) * e(2, 2),
+        e(1, 0) * e(2, 1) - e(1, 1) * e(2, 0),
+    ];
+    if normal == [0; 3] {
+        return;
     }
-
-    /// Whether the plane passes through the cube number `cell` of edge `2^shift`.
-    fn touches(&self, cell: [i32; 3], shift: u32) -> bool {
-        let (mut lo, mut hi) = (0i64, 0i64);
-        for i in 0..3 {
-            let near = (i64::from(cell[i]) << shift) - self.at[i];
-            let (a, b) = (self.normal[i] * near, self.normal[i] * (near + (1 << shift)));
-            lo += a.min(b);
-            hi += a.max(b);
+    if lo == hi {
+        return visit(lo);
+    }
+    let z = (0..3).max_by_key(|&axis| normal[axis].abs()).expect("three axes");
+    let (x, y) = ((z + 1) % 3, (z + 2) % 3);
+    let facing = normal[z].signum();
+    let size = 1i64 << shift;
+    // Largest value of `a · dx + b · dy` for dx, dy in 0 ..= size.
+    let highest = |a: i64, b: i64| (a.max(0) + b.max(0)) * size;
+    for cell_y in lo[y]..=hi[y] {
+        for cell_x in lo[x]..=hi[x] {
+            let corner = [cell_x << shift, cell_y << shift];
+            let is_beside = (0..3).any(|i| {
+                let (p, q) = (triangle[i], triangle[(i + 1) % 3]);
+                let (dx, dy) = ((q[x] - p[x]) * facing, (q[y] - p[y]) * facing);
+                dx * (corner[1] - p[y]) - dy * (corner[0] - p[x]) + highest(-dy, dx) < 0
+            });
+            if is_beside {
+                continue;
+            }
+            // The plane's depth is that of vertex 0 plus `rise / |normal[z]|`.
+            let (a, b) = (-normal[x] * facing, -normal[y] * facing);
+            let rise = a * (corner[0] - triangle[0][x]) + b * (corner[1] - triangle[0][y]);
+            let depth = |rise: i64| (triangle[0][z] + rise.div_euclid(normal[z].abs())) >> shift;
+            let (first, last) = (depth(rise - highest(-a, -b)), depth(rise + highest(a, b)));
+            for cell_z in first.max(lo[z])..=last.min(hi[z]) {
+                let mut cell = [0; 3];
+                (cell[x], cell[y], cell[z]) = (cell_x, cell_y, cell_z);
+                visit(cell);
+            }
         }
-        lo <= 0 && hi >= 0
     }
 }
 
@@ -325,6 +337,7 @@ pub fn cell_of_morton(code: u32) -> [u32; 3] {
 #[cfg(test)]
 mod tests {
     use super::*;
+    use manyview_shaders::raster::fragments_basic;
 
     #[test]
     fn morton_codes_round_trip() {
@@ -336,31 +349,52 @@ mod tests {
 
     #[test]
     fn bricks_hold_every_triangle_that_has_fragments_there() {
-        let grid = Grid::new(6);
-        let mut state = 7u32;
-        let mut random = || {
-            state = state.wrapping_mul(1_664_525).wrapping_add(1_013_904_223);
-            (state >> 8) as i16 & (grid.lattice_size() - 1) as i16
-        };
-        let triangles: Vec<[[i16; 3]; 3]> =
-            (0..50).map(|_| [0; 3].map(|_: i32| [0; 3].map(|_: i32| random()))).collect();
-        let bricks = Bricks::new(grid, 3, &triangles);
-        let mut found = 0;
-        for i in 0..bricks.len() {
-            let (code, clip, members) = bricks.brick(i);
-            assert_eq!(cell_of_morton(code).map(|c| c as i32 * 8), clip.min);
-            for t in members {
-                let t = triangles[t as usize].map(|v| v.map(i32::from));
-                found += manyview_shaders::raster::fragments_basic(grid, &t, &clip).len();
-            }
-        }
+        let grid = Grid::new(5);
         let whole = VoxelBox::whole(grid);
-        let expected: usize = triangles
-            .iter()
-            .map(|t| {
-                manyview_shaders::raster::fragments_basic(grid, &t.map(|v| v.map(i32::from)), &whole).len()
-            })
-            .sum();
-        assert_eq!(found, expected);
+        let mut state = 7u32;
+        let mut random = |range: i32| {
+            state = state.wrapping_mul(1_664_525).wrapping_add(1_013_904_223);
+            ((i64::from(state) * i64::from(range)) >> 32) as i32
+        };
+        let size = grid.lattice_size();
+        let mut triangles: Vec<[[i16; 3]; 3]> = Vec::new();
+        for _ in 0..60 {
+            // A triangle of any shape, a needle along a line, and a small one that may be flat along an axis.
+            let corners = [0; 3].map(|_: i32| [0; 3].map(|_: i32| random(size) as i16));
+            triangles.push(corners);
+            let near = corners[1].map(|c| (i32::from(c) + random(500) - 250).clamp(0, size - 1) as i16);
+            triangles.push([corners[0], corners[1], near]);
+            let spread = [random(700) + 1, random(700) + 1, 1];
+            triangles.push([0; 3].map(|_: i32| {
+                [0, 1, 2].map(|i| (i32::from(corners[2][i]) + random(spread[i])).min(size - 1) as i16)
+            }));
+        }
+        let fragments = |triangle: [[i16; 3]; 3], clip: &VoxelBox| {
+            fragments_basic(grid, &triangle.map(|v| v.map(i32::from)), clip).len()
+        };
+        let expected: usize = triangles.iter().map(|t| fragments(*t, &whole)).sum();
+        for brick_bits in 1..=5 {
+            let bricks = Bricks::new(grid, brick_bits, &triangles);
+            let mut found = 0;
+            for i in 0..bricks.len() {
+                let (code, clip, members) = bricks.brick(i);
+                assert_eq!(cell_of_morton(code).map(|c| (c as i32) << brick_bits), clip.min);
+                found += members.iter().map(|m| fragments(triangles[*m as usize], &clip)).sum::<usize>();
+            }
+            assert_eq!(found, expected, "bricks of {brick_bits} bits");
+        }
+    }
+
+    #[test]
+    fn long_thin_triangles_are_in_few_bricks() {
+        let grid = Grid::new(11);
+        let entries = |triangle| Bricks::new(grid, 6, &[triangle]).entries.len();
+        let end = (grid.lattice_size() - 1) as i16;
+        assert_eq!(entries([[0; 3], [end / 2; 3], [end; 3]]), 0, "no area");
+        // 32 bricks along the diagonal, each with a few neighbours.
+        let needle = entries([[0; 3], [end; 3], [1, 0, 2]]);
+        assert!((32..=200).contains(&needle), "{needle}");
+        let floor = entries([[0, 5, 0], [end, 5, 0], [0, 5, end]]);
+        assert!((32 * 33 / 2..=32 * 34 / 2).contains(&floor), "{floor}");
     }
 }

@@ -114,10 +114,10 @@ fn sample_triangle(
 }
 
 /// The paper's point set: centres of the occupied voxels of one voxelization along the world's axes, `2^bits` voxels
-/// a side of a cube around the bounding sphere (`scale` = 1 per axis shrinks that cube to the scene's bounds).
+/// a side.
 ///
 /// `half_extent_share[i]` is the half extent of the scene along axis i over half the edge of the voxelization's grid:
-/// 1 for a grid fitted to the bounds, less for a cube around the bounding sphere.
+/// 1 for a grid fitted to the bounds, less for a cube around the bounding sphere (the paper's).
 pub fn voxel_centers(
     triangles: &LatticeTriangles,
     cutouts: &Cutouts,

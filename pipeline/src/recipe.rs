@@ -17,7 +17,7 @@
 
 use crate::bake::{BakeOptions, RowsFrom};
 use crate::cube::SceneCube;
-use crate::generate::SceneKind;
+use crate::generate::{MAX_TRIANGLES, MIN_TRIANGLES, SceneKind};
 use crate::rows::RowsOptions;
 use manyview_shaders::directions::Fit;
 use serde::Deserialize;
@@ -120,6 +120,11 @@ impl Recipe {
             (Some(scene), None) => Some(SceneSource::File(folder.join(scene))),
             (None, Some(Generate { kind, triangles, seed })) => {
                 let kind = kind.parse().map_err(|e| format!("generate.kind: {e}"))?;
+                if !(MIN_TRIANGLES..=MAX_TRIANGLES).contains(&triangles) {
+                    return Err(format!(
+                        "generate.triangles is {triangles}, it must be {MIN_TRIANGLES} to {MAX_TRIANGLES}"
+                    ));
+                }
                 Some(SceneSource::Generated { kind, triangles, seed })
             }
             (None, None) => None,
@@ -236,6 +241,7 @@ mod tests {
             ("rows_from = \"magic\"", "rows_from: `magic`"),
             ("scene = \"a.glb\"\ngenerate = { kind = \"town\", triangles = 1 }", "exclude each other"),
             ("generate = { kind = \"sea\", triangles = 1 }", "generate.kind"),
+            ("generate = { kind = \"town\", triangles = 999 }", "generate.triangles is 999"),
             ("cube = { origin = [0.0, 0.0, nan], size = 1.0 }", "cube"),
         ] {
             let error = Recipe::parse(text, Path::new("")).unwrap_err();

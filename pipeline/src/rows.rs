@@ -240,7 +240,8 @@ impl<'a> RowsPlan<'a> {
             // The format is little-endian; every target that the bake supports is too.
             CompressedChunk::compress_sparse(bytemuck::cast_slice(&rows), zstd_level)
         };
-        let wave = 16 * rayon::current_num_threads();
+        // Blocks from a device wait uncompressed, 4 MiB each; those from the CPU, compressed, for blocks before them.
+        let wave = rayon::current_num_threads() * if device.is_some() { 1 } else { 16 };
         let mut item = 0;
         for blocks in blocks.chunks(wave) {
             let chunks: Vec<CompressedChunk> = match device {

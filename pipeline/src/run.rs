@@ -49,10 +49,10 @@ pub enum RunError {
     /// The archive could not be written.
     #[error(transparent)]
     Output(#[from] ArchiveError),
-    /// The output would overwrite the scene.
-    #[error("{}: the archive would overwrite the scene; choose another output", path.display())]
+    /// The output would overwrite the scene or a file that it needs.
+    #[error("{}: the archive would overwrite the scene or a part of it; choose another output", path.display())]
     OverwritesScene {
-        /// Both of them.
+        /// The file of the scene.
         path: PathBuf,
     },
     /// Threads could not be started.
@@ -113,15 +113,15 @@ impl Bake {
         progress: &dyn Progress,
     ) -> Result<Summary, RunError> {
         self.in_pool(|| {
-            if let SceneSource::File(scene) = &self.source
-                && same_file(scene, &self.output)
-            {
-                return Err(RunError::OverwritesScene { path: scene.clone() });
+            self.options.check().map_err(|e| self.failed(e))?;
+            if let SceneSource::File(scene) = &self.source {
+                self.spare(scene)?;
             }
             // Before the long work: an output that cannot be written is known at once.
             let mut writer = ArchiveWriter::create(&self.output)?;
             let clock = std::time::Instant::now();
             let (scene, files) = self.load()?;
+            files.iter().try_for_each(|file| self.spare(file))?;
             let import_seconds = clock.elapsed().as_secs_f64();
             let report =
                 bake(&scene, &self.options, device, &mut writer, progress).map_err(|e| self.failed(e))?;
@@ -133,6 +133,7 @@ impl Bake {
     /// Imports the scene and tells what the bake would cost, without baking.
     pub fn estimate(&self) -> Result<(Estimate, Vec<String>), RunError> {
         self.in_pool(|| {
+            self.options.check().map_err(|e| self.failed(e))?;
             let (scene, _) = self.load()?;
             let placement = crate::bake::Placement::new(&scene, &self.options).map_err(|e| self.failed(e))?;
             Ok((Estimate::new(&scene, &self.options, placement.cube), scene.warnings))
@@ -151,6 +152,14 @@ impl Bake {
                 Ok((generate(*kind, *triangles, *seed), Vec::new()))
             }
         }
+    }
+
+    /// An error if the output is `file`, which the scene needs.
+    fn spare(&self, file: &Path) -> Result<(), RunError> {
+        if same_file(file, &self.output) {
+            return Err(RunError::OverwritesScene { path: file.to_owned() });
+        }
+        Ok(())
     }
 
     fn failed(&self, source: BakeError) -> RunError {
@@ -173,7 +182,8 @@ impl Bake {
     }
 }
 
-fn same_file(a: &Path, b: &Path) -> bool {
+/// Whether two paths lead to one file.
+pub fn same_file(a: &Path, b: &Path) -> bool {
     match (fs_err::canonicalize(a), fs_err::canonicalize(b)) {
         (Ok(a), Ok(b)) => a == b,
         _ => a == b,

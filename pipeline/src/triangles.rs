@@ -131,13 +131,17 @@ impl Cutouts {
     pub fn new(scene: &Scene) -> Self {
         let mut cutouts = Self { mask_of: vec![Vec::new(); scene.meshes.len()], ..Self::default() };
         let mut plane_of_texture = vec![None; scene.textures.len()];
+        // Many meshes may share one large texture.
+        let mut range_of_texture = vec![None; scene.textures.len()];
         for (m, mesh) in scene.meshes.iter().enumerate() {
             let material = material_of(scene, mesh);
             let Some(cutoff) = material.alpha_mode.cutoff() else { continue };
             let texture = material.base_color_texture.filter(|_| !mesh.base_color_uvs.is_empty());
             let range = texture.map_or((255, 255), |t| {
-                let alphas = scene.textures[t as usize].texels.iter().map(|t| t[3]);
-                alphas.fold((255, 0), |(lo, hi): (u8, u8), a| (lo.min(a), hi.max(a)))
+                *range_of_texture[t as usize].get_or_insert_with(|| {
+                    let alphas = scene.textures[t as usize].texels.iter().map(|t| t[3]);
+                    alphas.fold((255, 0), |(lo, hi): (u8, u8), a| (lo.min(a), hi.max(a)))
+                })
             });
             let cuts: Vec<Cut> = mesh
                 .triangles

@@ -1,7 +1,7 @@
 //! `manyview bake`.
 
 use std::fmt::Write as _;
-use std::path::{Path, PathBuf};
+use std::path::{Component, Path, PathBuf};
 use std::str::FromStr;
 
 use clap::ValueEnum;
@@ -11,7 +11,7 @@ use manyview_pipeline::bake::{BakeError, RowsFrom, VoxelsFrom};
 use manyview_pipeline::import::ImportError;
 use manyview_pipeline::recipe::{Recipe, SceneSource, parse_fit, parse_rows_from, parse_rows_size};
 use manyview_pipeline::rows::RowsOptions;
-use manyview_pipeline::run::{Bake, RunError, Summary};
+use manyview_pipeline::run::{Bake, RunError, Summary, same_file};
 use manyview_shaders::device::VoxelDevice;
 use manyview_shaders::directions::{DirectionSet, Fit};
 use serde_json::json;
@@ -109,7 +109,7 @@ fn rows_size(text: &str) -> Result<RowsSize, String> {
 }
 
 /// Bytes, from a number with an optional unit (B, KiB, MiB, GiB, TiB; KB, MB, GB, TB).
-fn memory_size(text: &str) -> Result<u64, String> {
+pub(crate) fn memory_size(text: &str) -> Result<u64, String> {
     let digits = text.find(|c: char| !c.is_ascii_digit() && c != '.').unwrap_or(text.len());
     let (number, unit) = text.split_at(digits);
     let unit_bytes: u64 = match unit.trim().to_ascii_lowercase().as_str() {
@@ -130,6 +130,22 @@ fn memory_size(text: &str) -> Result<u64, String> {
     }
 }
 
+impl Options {
+    /// Whether everything on stderr has to be a JSON event.
+    pub(crate) fn tells_events(&self) -> bool {
+        self.format == Format::Json
+    }
+}
+
+fn warn(format: Format, warnings: &[String]) {
+    for warning in warnings {
+        match format {
+            Format::Text => eprintln!("warning: {warning}"),
+            Format::Json => eprintln!("{}", json!({"event": "warning", "message": warning})),
+        }
+    }
+}
+
 /// Runs the command.
 pub(crate) fn run(options: &Options) -> CliResult {
     let recipe = match &options.recipe {
@@ -139,9 +155,7 @@ pub(crate) fn run(options: &Options) -> CliResult {
     let bake = plan(options, &recipe)?;
     if options.dry_run {
         let (estimate, warnings) = bake.estimate()?;
-        for warning in &warnings {
-            eprintln!("warning: {warning}");
-        }
+        warn(options.format, &warnings);
         match options.format {
             Format::Text => print(&format!("{}\n", estimate_line(&estimate)))?,
             Format::Json => print_json(&estimate_event(&estimate))?,
@@ -153,6 +167,19 @@ pub(crate) fn run(options: &Options) -> CliResult {
     {
         make_recipe_folder(&recipe, output)?;
     }
+    if let Some(path) = &options.depfile {
+        let scene = match &bake.source {
+            SceneSource::File(scene) => Some(scene),
+            SceneSource::Generated { .. } => None,
+        };
+        let others = [Some(&bake.output), scene, options.recipe.as_ref()];
+        if others.into_iter().flatten().any(|other| is_same_path(path, other)) {
+            return Err(CliError::usage(format!("--depfile {} would overwrite it", path.display())));
+        }
+    }
+    if options.tells_events() {
+        cancel::tell_events();
+    }
     let gpu = open_device(options.backend, options.voxels_from)?;
     let device = gpu.as_ref().map(|gpu| gpu as &dyn VoxelDevice);
     let progress = Progress::new(options.format, cancel::watch());
@@ -160,12 +187,7 @@ pub(crate) fn run(options: &Options) -> CliResult {
     let result = bake.run_on(device, &progress);
     progress.finish();
     let summary = result?;
-    for warning in &summary.warnings {
-        match options.format {
-            Format::Text => eprintln!("warning: {warning}"),
-            Format::Json => eprintln!("{}", json!({"event": "warning", "message": warning})),
-        }
-    }
+    warn(options.format, &summary.warnings);
     if let Some(path) = &options.depfile {
         write_depfile(path, &bake.output, &summary, options.recipe.as_deref())?;
     }
@@ -225,6 +247,12 @@ fn plan(options: &Options, recipe: &Recipe) -> Result<Bake, CliError> {
     Ok(bake)
 }
 
+/// Whether two paths, of files that need not exist yet, are one.
+fn is_same_path(a: &Path, b: &Path) -> bool {
+    let normal = |path: &Path| path.components().filter(|c| *c != Component::CurDir).collect::<PathBuf>();
+    normal(a) == normal(b) || same_file(a, b)
+}
+
 /// Makes the folder of an output that the recipe names, so that a fresh clone can run it.
 fn make_recipe_folder(recipe: &Recipe, output: &Path) -> Result<(), CliError> {
     let named = [&recipe.output, &recipe.preview].into_iter().flatten().any(|path| path == output);
@@ -261,12 +289,9 @@ fn write_depfile(
 ) -> Result<(), CliError> {
     // make's escapes, which ninja reads too.
     let escaped = |path: &Path| {
-        path.display()
-            .to_string()
-            .replace('\\', "/")
-            .replace('$', "$$")
-            .replace('#', "\\#")
-            .replace(' ', "\\ ")
+        let path = path.display().to_string();
+        let path = if cfg!(windows) { path.replace('\\', "/") } else { path };
+        path.replace('$', "$$").replace('#', "\\#").replace(' ', "\\ ")
     };
     let mut rule = format!("{}:", escaped(output));
     for file in summary.files.iter().map(PathBuf::as_path).chain(recipe) {
@@ -335,7 +360,9 @@ impl From<RunError> for CliError {
             RunError::Import(ImportError::OverLimit { .. }) => Exit::OverBudget,
             RunError::Import(_) => Exit::BadInput,
             RunError::Bake { source, .. } => match source {
-                BakeError::Empty { .. } | BakeError::AllTransparent => Exit::BadInput,
+                BakeError::Empty { .. } | BakeError::AllTransparent | BakeError::NoVoxels { .. } => {
+                    Exit::BadInput
+                }
                 BakeError::Bounds { .. } | BakeError::CubeTooSmall { .. } => Exit::BadInput,
                 BakeError::Parameter { .. } | BakeError::PeelNeedsDevice => Exit::Usage,
                 BakeError::OverBudget { .. } => Exit::OverBudget,

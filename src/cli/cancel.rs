@@ -8,6 +8,7 @@ use super::error::Exit;
 
 static CANCELLED: AtomicBool = AtomicBool::new(false);
 static IS_WATCHED: AtomicBool = AtomicBool::new(false);
+static TELLS_EVENTS: AtomicBool = AtomicBool::new(false);
 
 /// From now on an interrupt ends the program with the exit code for that; at once, unless the command watches for it.
 pub(crate) fn catch_interrupt() {
@@ -17,7 +18,11 @@ pub(crate) fn catch_interrupt() {
             // No output is ever half written: an unfinished one has another name until it is complete.
             std::process::exit(Exit::Cancelled as i32);
         }
-        eprintln!("cancelling … (once more to end at once)");
+        if TELLS_EVENTS.load(Ordering::Relaxed) {
+            eprintln!("{{\"event\":\"cancelling\"}}");
+        } else {
+            eprintln!("cancelling … (once more to end at once)");
+        }
     };
     // Where there are no signals, the system's own way to end a program remains.
     _ = ctrlc::set_handler(handler);
@@ -27,6 +32,11 @@ pub(crate) fn catch_interrupt() {
 pub(crate) fn watch() -> &'static AtomicBool {
     IS_WATCHED.store(true, Ordering::Relaxed);
     &CANCELLED
+}
+
+/// From now on an interrupt is told as a JSON event.
+pub(crate) fn tell_events() {
+    TELLS_EVENTS.store(true, Ordering::Relaxed);
 }
 
 /// An error once the user has interrupted the program.

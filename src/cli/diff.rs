@@ -36,7 +36,7 @@ pub(crate) struct Options {
 
 /// How a section of one archive relates to the other archive.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, PartialOrd, Ord)]
-enum State {
+pub(super) enum State {
     Same,
     Differs,
     OnlyInA,
@@ -95,7 +95,8 @@ pub(crate) fn run(options: &Options) -> CliResult {
     Ok(if same { Exit::Done } else { Exit::DIFFERENT })
 }
 
-fn section_states(a: &Archive, b: &Archive) -> BTreeMap<SectionId, State> {
+/// How the sections of two archives relate.
+pub(super) fn section_states(a: &Archive, b: &Archive) -> BTreeMap<SectionId, State> {
     let ids: BTreeSet<SectionId> =
         [a, b].iter().flat_map(|archive| archive.container().sections()).map(|section| section.id).collect();
     let state = |id: &SectionId| {

@@ -1,5 +1,6 @@
 //! The commands: each parses its options, calls the library, and prints. Results go to stdout, all else to stderr.
 
+mod against;
 mod bake;
 mod bench;
 mod camera_file;
@@ -29,8 +30,8 @@ struct Cli {
     command: Command,
 }
 
-const EXIT_CODES: &str = "Exit codes: 0 done, 1 internal error (or, for `diff`, archives that differ), 2 usage, \
-3 bad input or an output that cannot be written, 4 over budget, 5 corrupt archive or cache, 130 cancelled.";
+const EXIT_CODES: &str = "Exit codes: 0 done, 1 internal error (for `diff` and `verify --against`: \
+they differ), 2 usage, 3 bad input or an output that cannot be written, 4 over budget, 5 corrupt archive or cache, 130 cancelled.";
 
 #[derive(Debug, Subcommand)]
 enum Command {
@@ -80,7 +81,15 @@ pub(crate) fn main() -> ExitCode {
     match result {
         Ok(Ok(exit)) => exit.into(),
         Ok(Err(error)) => {
-            eprintln!("error: {error}");
+            match &cli.command {
+                Command::Bake(options) if options.tells_events() => {
+                    let (exit_code, message) = (error.exit() as i32, error.to_string());
+                    let event =
+                        serde_json::json!({"event": "error", "exit_code": exit_code, "message": message});
+                    eprintln!("{event}");
+                }
+                _ => eprintln!("error: {error}"),
+            }
             error.exit().into()
         }
         // The panic's message was printed when it began.

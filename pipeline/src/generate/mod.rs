@@ -31,6 +31,9 @@ mod tests;
 /// Smallest number of triangles that [`generate`] aims at; fewer do not make a scene.
 pub const MIN_TRIANGLES: u64 = 1_000;
 
+/// Largest number of triangles that the command line and recipes ask for.
+pub const MAX_TRIANGLES: u64 = 1_000_000_000;
+
 /// What [`generate`] can make.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Hash)]
 pub enum SceneKind {
