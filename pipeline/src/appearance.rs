@@ -245,8 +245,8 @@ impl MipChain {
                         }
                     }
                     texels.push([0, 1, 2].map(|c| {
-                        let mean = (sum[c] + alpha / 2).checked_div(alpha).unwrap_or((plain[c] + 2) / 4);
-                        srgb_from_linear(mean as u16)
+                        let weighted = (sum[c] + alpha / 2).checked_div(alpha);
+                        srgb_from_linear(weighted.unwrap_or((plain[c] + 2) / 4) as u16)
                     }));
                     next_alphas.push(((alpha + 2) / 4) as u8);
                 }

@@ -5,8 +5,8 @@
 //! triangles 8,100 times, and less accurate, because a voxel's centre stands for all of it.
 //!
 //! # Differences from the paper
-//! We rotate points that lie *on* the surface, at a quarter of a voxel's spacing: the error of the centre is gone, and
-//! every voxel that the surface crosses by more than a corner holds a point. [`surface_points`] makes them,
+//! We rotate points that lie *on* the surface, at half a voxel's spacing: the error of the centre is gone, and every
+//! voxel that the surface crosses by more than a corner holds a point. [`surface_points`] makes them,
 //! [`voxel_centers`] is the paper's set.
 //!
 //! # Practice

@@ -5,9 +5,9 @@
 //! voxels of one voxelization into all others.
 //!
 //! # Differences from the paper
-//! [`RowsFrom::Peel`] and [`RowsFrom::Rotate`] are the paper's two ways, in integers. [`RowsFrom::Points`] rotates a
-//! dense set of surface points ([`crate::points`]): as cheap as the second, and measured nearer to exact rays than
-//! either (`bakes/REPORT.md`).
+//! [`RowsFrom::Peel`] and [`RowsFrom::Rotate`] are the paper's two ways, in integers. [`RowsFrom::Points`] rotates
+//! points on the surface ([`crate::points`]): nearly as cheap as the second, and about as near to exact rays as the
+//! first (`bakes/REPORT.md`).
 //!
 //! # Practice
 //! Directions are independent. A block of them (4 MiB of rows) is voxelized and compressed by one thread; blocks are
