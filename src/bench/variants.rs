@@ -79,8 +79,8 @@ pub fn variants(detail: Detail) -> Vec<Variant> {
     let core = |across, along| Keep::Core { across, along };
     let keeps = [
         (0, vec![Keep::All]),
-        (1, vec![Keep::All, core(0.125, 0.0), core(0.1875, 0.0), core(0.25, 0.0), Keep::AtLeast(2)]),
-        (2, vec![core(0.125, 0.0), core(0.25, 0.0), core(0.125, 0.125), Keep::AtLeast(4)]),
+        (1, vec![core(0.1875, 0.0), core(0.125, 0.0), Keep::AtLeast(2), core(0.25, 0.0)]),
+        (2, vec![Keep::All, core(0.25, 0.0), core(0.125, 0.0), core(0.125, 0.125), Keep::AtLeast(4)]),
         (3, vec![Keep::All, core(0.25, 0.0)]),
     ];
     for (point_bits, keeps) in keeps {
@@ -88,7 +88,6 @@ pub fn variants(detail: Detail) -> Vec<Variant> {
         all.extend(keeps.map(|(_, keep)| Variant { options: usual, point_bits, keep }));
     }
     let octahedral = RowsOptions { directions: octahedral, ..usual };
-    all.push(Variant { options: octahedral, point_bits: 1, keep: Keep::All });
     all.push(Variant { options: octahedral, point_bits: 1, keep: core(0.125, 0.0) });
     all
 }
