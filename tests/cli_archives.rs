@@ -142,6 +142,9 @@ fn verify_finds_what_hashes_cannot() {
         Some(content)
     });
     expect_failure("svo.coverages[5]: coverage of node 7");
+    let (stdout, _) = expect_exit(5, &["verify", &broken, "--format", "json"]);
+    let json: serde_json::Value = serde_json::from_str(&stdout).unwrap();
+    assert_eq!(json["sound"], false);
     let direction_bytes = 32 * 32 * 4;
     rewrite(Path::new(&towns.a), path, |name, item, mut content| {
         if (name, item) == ("rows.bits", 0) {
@@ -149,10 +152,9 @@ fn verify_finds_what_hashes_cannot() {
         }
         Some(content)
     });
-    expect_failure("direction 1 has no voxel");
-    let (stdout, _) = expect_exit(5, &["verify", &broken, "--format", "json"]);
-    let json: serde_json::Value = serde_json::from_str(&stdout).unwrap();
-    assert_eq!(json["sound"], false);
+    // Thin scenes have such directions: no fault, but worth a word.
+    let (stdout, _) = expect_exit(0, &["verify", &broken]);
+    assert!(stdout.contains("1 direction without any"), "{stdout}");
 }
 
 #[test]
