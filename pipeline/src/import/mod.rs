@@ -133,7 +133,8 @@ pub fn import(path: &Path, options: &ImportOptions) -> Result<Imported, ImportEr
     let (others, warnings) = resources.finish();
     scene.warnings = warnings;
     for warning in &scene.warnings {
-        tracing::warn!("{file}: {warning}");
+        // Whoever called shows them; here they only help to find where a bake goes wrong.
+        tracing::debug!("{file}: {warning}");
     }
     let mut files = vec![SourceFile { hash: Some(blake3::hash(&bytes)), path: file }];
     files.extend(others);
