@@ -79,6 +79,7 @@ pub(crate) struct Options {
     #[arg(long, value_name = "P.png|P.exr")]
     preview: Option<PathBuf>,
     /// Of the summary on stdout; with `json`, progress on stderr comes as JSON events too
+    /// (between them, graphics drivers may write lines of their own)
     #[arg(long, value_enum, default_value_t = Format::Text)]
     format: Format,
 }

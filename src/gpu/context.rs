@@ -63,14 +63,12 @@ impl GpuContext {
     /// Opens the best adapter that fits `choice`: discrete before integrated before virtual before software, and
     /// OpenGL only where nothing else does.
     pub fn open(choice: &AdapterChoice) -> Result<Self, OpenError> {
+        let mut descriptor = wgpu::InstanceDescriptor::new_without_display_handle();
+        descriptor.flags = wgpu::InstanceFlags::empty().with_env();
+        let instance = wgpu::Instance::new(descriptor);
         let mut seen = Vec::new();
         let mut found = None;
         for backends in [wgpu::Backends::PRIMARY, wgpu::Backends::SECONDARY] {
-            // An instance each: OpenGL's loader complains on stderr on a machine without a display.
-            let mut descriptor = wgpu::InstanceDescriptor::new_without_display_handle();
-            descriptor.backends = backends;
-            descriptor.flags = wgpu::InstanceFlags::empty().with_env();
-            let instance = wgpu::Instance::new(descriptor);
             let adapters = pollster::block_on(instance.enumerate_adapters(backends));
             seen.extend(adapters.iter().map(|adapter| describe(&adapter.get_info())));
             found = adapters
