@@ -1,7 +1,7 @@
 //! Segment tests against bit rows on the CPU, the plain version.
 //!
 //! # Theory
-//! [WMP] Algorithm 2: the sampled direction nearest to the segment, the row of its voxelization that holds the segment's
+//! \[WMP\] Algorithm 2: the sampled direction nearest to the segment, the row of its voxelization that holds the segment's
 //! midpoint, all bits outside the segment's extent cleared; the segment is occluded iff a bit is left.
 //!
 //! # Differences from the paper

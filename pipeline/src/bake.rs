@@ -158,7 +158,8 @@ pub enum BakeError {
     },
     /// Depth peeling was asked for without a device.
     #[error(
-        "depth peeling of the octree runs on a GPU: use --backend gpu, or --voxels-from raster (same voxels)"
+        "depth peeling of the octree needs a device: pass one (manyview_shaders::cpu_device::CpuDevice on the CPU), or \
+         take VoxelsFrom::Raster, which gives the same voxels"
     )]
     PeelNeedsDevice,
     /// Two ways that must agree did not; a bug.

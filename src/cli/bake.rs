@@ -12,6 +12,7 @@ use manyview_pipeline::import::ImportError;
 use manyview_pipeline::recipe::{Recipe, SceneSource, parse_fit, parse_rows_from, parse_rows_size};
 use manyview_pipeline::rows::RowsOptions;
 use manyview_pipeline::run::{Bake, RunError, Summary, same_file};
+use manyview_shaders::cpu_device::CpuDevice;
 use manyview_shaders::device::VoxelDevice;
 use manyview_shaders::directions::{DirectionSet, Fit};
 use serde_json::json;
@@ -51,7 +52,7 @@ pub(crate) struct Options {
     /// Algorithm 1), `rotate` rotates one voxelization (its Algorithm 5) [default: points]
     #[arg(long, value_name = "points|peel|rotate", value_parser = parse_rows_from)]
     rows_from: Option<RowsFrom>,
-    /// How octree voxels are found; `peel` (depth peeling, needs a GPU) gives the same voxels
+    /// How octree voxels are found; `peel` (depth peeling; on the CPU slow, by one thread) gives the same voxels
     #[arg(long, value_enum, default_value_t = VoxelsFromName::Raster)]
     voxels_from: VoxelsFromName,
     /// Where the voxels are made; every backend gives the same bytes. `auto` takes a GPU if it is not a software one
@@ -181,8 +182,8 @@ pub(crate) fn run(options: &Options) -> CliResult {
     if options.tells_events() {
         cancel::tell_events();
     }
-    let gpu = open_device(options.backend, options.voxels_from)?;
-    let device = gpu.as_ref().map(|gpu| gpu as &dyn VoxelDevice);
+    let device = open_device(options.backend, options.voxels_from)?;
+    let device = device.as_deref();
     let progress = Progress::new(options.format, cancel::watch());
     let clock = std::time::Instant::now();
     let result = bake.run_on(device, &progress);
@@ -263,22 +264,25 @@ fn make_recipe_folder(recipe: &Recipe, output: &Path) -> Result<(), CliError> {
     }
 }
 
-/// The GPU to bake on, if any.
-fn open_device(backend: Backend, voxels_from: VoxelsFromName) -> Result<Option<GpuDevice>, CliError> {
+/// What to bake on, unless it is the bake's own code for the CPU.
+fn open_device(
+    backend: Backend,
+    voxels_from: VoxelsFromName,
+) -> Result<Option<Box<dyn VoxelDevice>>, CliError> {
+    let gpu = || GpuDevice::open(&AdapterChoice::from_env());
     match backend {
-        Backend::Cpu if voxels_from == VoxelsFromName::Peel => Err(CliError::usage(
-            "--voxels-from peel runs on a GPU: use --backend gpu, or raster (same voxels)",
-        )),
-        Backend::Cpu => Ok(None),
-        Backend::Auto if voxels_from == VoxelsFromName::Raster => {
-            let gpu = GpuDevice::open(&AdapterChoice::from_env()).ok();
-            Ok(gpu.filter(|gpu| !gpu.context().is_software()))
+        Backend::Gpu => match gpu() {
+            Ok(gpu) => Ok(Some(Box::new(gpu))),
+            Err(error) => Err(CliError::bad_input(format!(
+                "{error}; --backend cpu gives the same archive without a GPU"
+            ))),
+        },
+        Backend::Auto if let Some(gpu) = gpu().ok().filter(|gpu| !gpu.context().is_software()) => {
+            Ok(Some(Box::new(gpu)))
         }
-        Backend::Auto | Backend::Gpu => {
-            GpuDevice::open(&AdapterChoice::from_env()).map(Some).map_err(|error| {
-                CliError::bad_input(format!("{error}; --backend cpu gives the same archive without a GPU"))
-            })
-        }
+        // Peeling has no fast form on the CPU: it is there to be compared with.
+        _ if voxels_from == VoxelsFromName::Peel => Ok(Some(Box::new(CpuDevice))),
+        _ => Ok(None),
     }
 }
 

@@ -34,6 +34,15 @@ fn threads_runs_and_folders_do_not_show() {
 }
 
 #[test]
+fn depth_peeling_on_the_cpu_gives_the_same_bytes() {
+    let work = Workplace::new();
+    work.write_scene("forest.glb", &forest());
+    let usual = work.bake("forest.glb", "a.mvb", &["--rows-from", "peel"]);
+    let peeled = work.bake("forest.glb", "b.mvb", &["--rows-from", "peel", "--voxels-from", "peel"]);
+    assert!(usual == peeled);
+}
+
+#[test]
 fn a_gltf_with_external_files_bakes_as_its_glb_does() {
     let work = Workplace::new();
     let bytes = glb(&forest());
