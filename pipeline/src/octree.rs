@@ -289,7 +289,7 @@ pub fn build(cube: SceneCube, grid: Grid, brick_bits: u32, bricks: Vec<Brick>) -
     let depth = grid.bits as usize;
     let top = (grid.bits - brick_bits.min(grid.bits)) as usize;
     let mut levels = vec![SvoLevel::default(); depth + 1];
-    let codes: Vec<u32> = bricks.iter().map(|b| b.code).collect();
+    let mut codes: Vec<u32> = bricks.iter().map(|b| b.code).collect();
     for brick in bricks {
         for (into, from) in levels[top..].iter_mut().zip(brick.levels) {
             into.child_masks.extend(from.child_masks);
@@ -300,7 +300,6 @@ pub fn build(cube: SceneCube, grid: Grid, brick_bits: u32, bricks: Vec<Brick>) -
             into.emissive.extend(from.emissive);
         }
     }
-    let mut codes = codes;
     for level in (0..top).rev() {
         let mut masks: Vec<u8> = Vec::new();
         let mut parents: Vec<u32> = Vec::new();

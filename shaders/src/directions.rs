@@ -253,7 +253,11 @@ impl DirectionFrame {
 /// Smallest and largest coordinate along each axis of `axes` over `boxes` (min and max corners in lattice points, of
 /// tight boxes around parts of the scene), in metres from the lattice's centre. Conservative; the smaller the boxes
 /// the tighter.
-pub fn extents_along(axes: [[f64; 3]; 3], lattice: &RowLattice, boxes: &[[[i16; 3]; 2]]) -> [[f64; 2]; 3] {
+pub fn extents_along<const N: usize>(
+    axes: [[f64; 3]; N],
+    lattice: &RowLattice,
+    boxes: &[[[i16; 3]; 2]],
+) -> [[f64; 2]; N] {
     axes.map(|axis| {
         let metres = [0, 1, 2].map(|i| axis[i] * lattice.half_extent[i] / f64::from(ROW_LATTICE));
         let mut extent = [f64::INFINITY, f64::NEG_INFINITY];
@@ -281,11 +285,11 @@ pub fn rolled_to_fit(axes: [[f64; 3]; 3], lattice: &RowLattice, boxes: &[[[i16; 
     for roll in 0..ROLLS {
         let (sin, cos) = sin_cos_turns(roll, 4 * ROLLS);
         let turned_u = [0, 1, 2].map(|i| cos * u[i] + sin * v[i]);
-        let turned = [turned_u, [0, 1, 2].map(|i| cos * v[i] - sin * u[i]), w];
-        let [[u_min, u_max], [v_min, v_max], _] = extents_along(turned, lattice, boxes);
+        let turned_v = [0, 1, 2].map(|i| cos * v[i] - sin * u[i]);
+        let [[u_min, u_max], [v_min, v_max]] = extents_along([turned_u, turned_v], lattice, boxes);
         let area = (u_max - u_min) * (v_max - v_min);
         if area < best.0 {
-            best = (area, turned);
+            best = (area, [turned_u, turned_v, w]);
         }
     }
     best.1
