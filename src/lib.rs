@@ -9,5 +9,6 @@ pub mod preview;
 pub mod rays;
 #[cfg(feature = "bake")]
 pub mod reference;
+pub mod visibility;
 
 pub use archive::{Archive, LoadError};

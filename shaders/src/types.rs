@@ -192,6 +192,62 @@ pub struct PeelView {
     pub window_y: i32,
 }
 
+/// What is asked of a segment test: is anything between two points? 36 bytes.
+#[repr(C)]
+#[derive(Debug, Clone, Copy, PartialEq, Default, Pod, Zeroable)]
+pub struct Segment {
+    /// World space, metres; on a surface, or free.
+    pub origin: [f32; 3],
+    /// World space, metres; free (a light, a camera).
+    pub target: [f32; 3],
+    /// Unit normal of the origin's surface on the target's side; zero where the origin is free.
+    pub normal: [f32; 3],
+}
+
+/// A point that light falls on, 24 bytes.
+#[repr(C)]
+#[derive(Debug, Clone, Copy, PartialEq, Default, Pod, Zeroable)]
+pub struct Receiver {
+    /// World space, metres.
+    pub position: [f32; 3],
+    /// Unit normal on the viewer's side; zero for a point that is on no surface.
+    pub normal: [f32; 3],
+}
+
+/// Where light comes from, 16 bytes: the segment from a receiver ends at `offset + position_weight · position`.
+#[repr(C)]
+#[derive(Debug, Clone, Copy, PartialEq, Default, Pod, Zeroable)]
+pub struct LightPoint {
+    /// World space, metres: the light's position; for a directional light the way to it, long enough to leave the
+    /// scene.
+    pub offset: [f32; 3],
+    /// 0 for a light at a position, 1 for a directional light.
+    pub position_weight: f32,
+}
+
+impl LightPoint {
+    /// A light at a world position, metres.
+    pub fn at(position: [f32; 3]) -> Self {
+        Self { offset: position, position_weight: 0.0 }
+    }
+
+    /// A light that shines along `direction` (unit length) from outside a scene whose bounds' diagonal is
+    /// `scene_diameter` metres.
+    pub fn directional(direction: [f32; 3], scene_diameter: f32) -> Self {
+        Self { offset: direction.map(|c| -c * scene_diameter), position_weight: 1.0 }
+    }
+
+    /// The segment from a receiver to this light. The normal is turned to the light's side, so that a surface seen
+    /// from behind is tested on the side that the light could reach.
+    #[inline]
+    pub fn segment_from(&self, receiver: &Receiver) -> Segment {
+        let target = [0, 1, 2].map(|i| self.offset[i] + self.position_weight * receiver.position[i]);
+        let cosine: f32 = (0..3).map(|i| (target[i] - receiver.position[i]) * receiver.normal[i]).sum();
+        let sign = if cosine < 0.0 { -1.0 } else { 1.0 };
+        Segment { origin: receiver.position, target, normal: receiver.normal.map(|c| c * sign) }
+    }
+}
+
 /// A struct's layout as Rust has it.
 #[derive(Debug)]
 pub struct GpuStruct {
