@@ -10,6 +10,8 @@ pub mod masks;
 pub mod octahedral;
 pub mod raster;
 pub mod rgb9e5;
+pub mod row_bits;
+pub mod row_test;
 pub mod sections;
 pub mod srgb;
 pub mod stages;

@@ -237,14 +237,21 @@ impl LightPoint {
         Self { offset: direction.map(|c| -c * scene_diameter), position_weight: 1.0 }
     }
 
-    /// The segment from a receiver to this light. The normal is turned to the light's side, so that a surface seen
-    /// from behind is tested on the side that the light could reach.
+    /// The segment from a receiver to this light.
     #[inline]
     pub fn segment_from(&self, receiver: &Receiver) -> Segment {
         let target = [0, 1, 2].map(|i| self.offset[i] + self.position_weight * receiver.position[i]);
-        let cosine: f32 = (0..3).map(|i| (target[i] - receiver.position[i]) * receiver.normal[i]).sum();
-        let sign = if cosine < 0.0 { -1.0 } else { 1.0 };
-        Segment { origin: receiver.position, target, normal: receiver.normal.map(|c| c * sign) }
+        Segment { origin: receiver.position, target, normal: receiver.normal }
+    }
+
+    /// Whether the receiver's own surface hides this light: it is not in front of it.
+    #[inline]
+    pub fn is_behind(&self, receiver: &Receiver) -> bool {
+        let segment = self.segment_from(receiver);
+        let way = [0, 1, 2].map(|i| segment.target[i] - segment.origin[i]);
+        let n = receiver.normal;
+        let is_valid = way.iter().all(|c| c.is_finite()) && way != [0.0; 3];
+        is_valid && n != [0.0; 3] && !(way[0] * n[0] + way[1] * n[1] + way[2] * n[2] > 0.0)
     }
 }
 
