@@ -9,7 +9,8 @@ use std::io::Read;
 use std::path::PathBuf;
 use std::time::Instant;
 
-use manyview::{Archive, CpuScene};
+use manyview::gpu::{AdapterChoice, GpuContext};
+use manyview::{Archive, CpuScene, GpuScene, StreamOptions};
 
 /// Runs `work` three times; the shortest time, seconds.
 fn best(mut work: impl FnMut() -> Result<(), Box<dyn Error>>) -> Result<f64, Box<dyn Error>> {
@@ -57,5 +58,37 @@ fn main() -> Result<(), Box<dyn Error>> {
     };
     report("raw file of the same size, one thread", raw);
     report("to the CPU", best(|| Ok(drop(CpuScene::load(&archive)?)))?);
+
+    let gpu = match GpuContext::open(&AdapterChoice::from_env()) {
+        Ok(gpu) => gpu,
+        Err(error) => {
+            println!("no GPU: {error}");
+            return Ok(());
+        }
+    };
+    println!("{}", gpu.name());
+    let options = StreamOptions::new(8 << 30);
+    let (mut usable, mut complete) = (f64::INFINITY, f64::INFINITY);
+    let mut memory = 0;
+    for _ in 0..3 {
+        let start = Instant::now();
+        let scene = GpuScene::stream(gpu.device(), gpu.queue(), &archive, options.with_octree_bytes(0))?;
+        usable = usable.min(start.elapsed().as_secs_f64());
+        scene.finish()?;
+        complete = complete.min(start.elapsed().as_secs_f64());
+        memory = scene.gpu_bytes();
+    }
+    report("to the GPU, usable", usable);
+    report("to the GPU, complete", complete);
+    println!(
+        "usable after {:.1}% of the time; {:.1} MiB of GPU memory",
+        100.0 * usable / complete,
+        memory as f64 / f64::from(1 << 20)
+    );
+    let start = Instant::now();
+    let scene = GpuScene::stream(gpu.device(), gpu.queue(), &archive, options)?;
+    scene.finish()?;
+    let progress = scene.progress();
+    println!("with {} levels of the octree: {:.3} s", progress.octree_levels, start.elapsed().as_secs_f64());
     Ok(())
 }

@@ -15,7 +15,7 @@ use bytemuck::{AnyBitPattern, Zeroable};
 use manyview_cache::archive::{Archive as Container, ByteSource, Section};
 use manyview_shaders::directions::{DirectionFrame, DirectionSet, RowLattice};
 use manyview_shaders::sections::{Light, RowsInfo, SceneInfo, SvoInfo, name};
-use manyview_shaders::svo::{Svo, SvoLevel};
+use manyview_shaders::svo::{Svo, SvoError, SvoLevel};
 use rayon::prelude::*;
 
 use error::Broken;
@@ -160,6 +160,29 @@ impl Archive {
         }
         svo.validate().map_err(|source| LoadError::Octree { archive: self.name().to_owned(), source })?;
         Ok(svo)
+    }
+
+    /// One level of the octree on its own, with its child masks and coverages unless it is the deepest one. Of the rules
+    /// that [`Svo::validate`] checks, those that concern this level and the number of nodes of the next are checked.
+    pub fn svo_level_alone(&self, level: u32) -> Result<SvoLevel, LoadError> {
+        self.check_item("level", u64::from(level), u64::from(self.svo.levels))?;
+        let bytes = self.svo_bytes(level) - level.checked_sub(1).map_or(0, |above| self.svo_bytes(above));
+        self.check_memory(|| format!("level {level} of the octree"), bytes)?;
+        let leaves = level == self.svo.levels;
+        let content = self.svo_level(level, leaves)?;
+        let broken = |rule, found: u64, expected: u64| {
+            let source = SvoError { level: level as usize, rule, found, expected };
+            Err(LoadError::Octree { archive: self.name().to_owned(), source })
+        };
+        if let Some(at) = content.child_masks.iter().position(|&mask| mask == 0) {
+            return broken("an inner node without children, at index", at as u64, 0);
+        }
+        let children = content.child_masks.iter().map(|mask| u64::from(mask.count_ones())).sum();
+        let expected = self.svo_node_count(level + 1).unwrap_or(0);
+        if children != expected {
+            return broken("children of a level", children, expected);
+        }
+        Ok(content)
     }
 
     fn svo_level(&self, level: u32, leaves: bool) -> Result<SvoLevel, LoadError> {

@@ -13,4 +13,5 @@ pub mod scene_cpu;
 pub mod visibility;
 
 pub use archive::{Archive, LoadError};
+pub use gpu::{GpuScene, StreamOptions};
 pub use scene_cpu::CpuScene;

@@ -15,5 +15,6 @@ pub mod sections;
 pub mod srgb;
 pub mod stages;
 pub mod svo;
+pub mod svo_nodes;
 pub mod trig;
 pub mod types;

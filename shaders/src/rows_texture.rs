@@ -10,7 +10,8 @@
 //! - A direction is a *tile*: row u, v of it begins `u · texels_a_row` texels to the right of the tile's corner and v
 //!   texels below.
 //! - Tiles fill a layer from left to right, then from top to bottom, then the next layer. Layers are at most 8192
-//!   texels wide and high, and all of one size, which is the smallest that holds all tiles in so few layers.
+//!   texels wide and high. There are as few lines of tiles as that allows, and as few layers; lines are all of one
+//!   length and layers all of one height, the smallest that hold all tiles.
 //!
 //! The paper's 90 × 90 directions of 128³ voxels are 64 × 64 tiles of 128 × 128 texels in each of two layers. Direction
 //! 4,100 has its tile in layer 1, column 4, line 0: its corner is texel (512, 0, 1), and row u = 3, v = 2 of it is texel
@@ -60,8 +61,8 @@ impl RowsTexture {
             return Err(RowsTextureError { bits, directions, most });
         }
         let [across, down] = tiles_a_side(bits);
-        let tiles_across = directions.clamp(1, across);
-        let lines = directions.div_ceil(tiles_across).max(1);
+        let lines = directions.div_ceil(across).max(1);
+        let tiles_across = directions.div_ceil(lines).max(1);
         let layers = lines.div_ceil(down);
         Ok(Self { bits, tiles: directions, tiles_across, tiles_down: lines.div_ceil(layers), layers })
     }
@@ -234,10 +235,10 @@ mod tests {
         for (bits, directions, size) in [
             (5, 1, [32, 32, 1]),
             (5, 36, [36 * 32, 32, 1]),
-            (6, 8100, [8192, 64 * 64, 1]),
+            (6, 8100, [127 * 64, 64 * 64, 1]),
             (7, 0, [128, 128, 1]),
-            (7, 65, [8192, 256, 1]),
-            (8, 17, [8192, 512, 1]),
+            (7, 65, [33 * 128, 256, 1]),
+            (8, 17, [9 * 512, 512, 1]),
             // 65 lines of 64 tiles: two layers of 33 lines, not one full and one nearly empty.
             (7, 4097, [8192, 33 * 128, 2]),
             // 507 lines of 16 tiles: 16 layers of 32 lines.
