@@ -7,15 +7,16 @@
 //!
 //! - A row of `2^bits` voxels is [`RowsTexture::texels_a_row`] texels side by side: one up to 128 voxels (the upper
 //!   words of rows of 32 or 64 voxels are 0), two for 256.
-//! - A direction is a *tile*: row u, v of it begins `u · texels_a_row` texels to the right of the tile's corner and v
-//!   texels below.
+//! - The rows of a direction are a *tile*: row u, v begins `u · texels_a_row` texels to the right of the tile's corner
+//!   and v texels below. Which direction is in which tile is up to the scene.
 //! - Tiles fill a layer from left to right, then from top to bottom, then the next layer. Layers are at most 8192
-//!   texels wide and high. There are as few lines of tiles as that allows, and as few layers; lines are all of one
-//!   length and layers all of one height, the smallest that hold all tiles.
+//!   texels wide and high. There are as few lines of tiles as that allows, all of one length, in 32 layers of one height
+//!   (fewer for fewer lines, more where they would be too high). Layers are small because drivers zero a layer as a whole
+//!   when its first tile arrives: what is to be usable soon should not have to wait for gigabytes of zeros.
 //!
-//! The paper's 90 × 90 directions of 128³ voxels are 64 × 64 tiles of 128 × 128 texels in each of two layers. Direction
-//! 4,100 has its tile in layer 1, column 4, line 0: its corner is texel (512, 0, 1), and row u = 3, v = 2 of it is texel
-//! (515, 2, 1).
+//! The paper's 90 × 90 directions of 128³ voxels are 64 × 4 tiles of 128 × 128 texels in each of 32 layers of 8192 × 512
+//! texels, 2 GiB. Tile 4,175 is in layer 16, line 1, column 15: its corner is texel (1920, 128, 16), and row u = 3,
+//! v = 2 of it is texel (1923, 130, 16).
 
 use std::sync::Arc;
 
@@ -25,6 +26,8 @@ use thiserror::Error;
 pub const MAX_TEXTURE_SIDE: u32 = 8192;
 /// WebGPU's default limit of a texture's layers.
 pub const MAX_TEXTURE_LAYERS: u32 = 256;
+/// Layers are made as many as that, where there are so many lines of tiles.
+const USUAL_LAYERS: u32 = 32;
 /// Words of a texel.
 pub const TEXEL_WORDS: u32 = 4;
 
@@ -63,8 +66,8 @@ impl RowsTexture {
         let [across, down] = tiles_a_side(bits);
         let lines = directions.div_ceil(across).max(1);
         let tiles_across = directions.div_ceil(lines).max(1);
-        let layers = lines.div_ceil(down);
-        Ok(Self { bits, tiles: directions, tiles_across, tiles_down: lines.div_ceil(layers), layers })
+        let tiles_down = lines.div_ceil(USUAL_LAYERS).min(down);
+        Ok(Self { bits, tiles: directions, tiles_across, tiles_down, layers: lines.div_ceil(tiles_down) })
     }
 
     /// Directions of `2^bits` voxels a side that a texture holds; 0 for other than 5 to 8 bits.
@@ -81,7 +84,7 @@ impl RowsTexture {
         self.bits
     }
 
-    /// Directions.
+    /// Directions, and tiles.
     pub fn directions(&self) -> u32 {
         self.tiles
     }
@@ -122,19 +125,19 @@ impl RowsTexture {
         self.size().iter().map(|&side| u64::from(side)).product::<u64>() * 16
     }
 
-    /// The texel (x, y, layer) at the corner of a direction's tile.
+    /// The texel (x, y, layer) at the corner of a tile.
     ///
     /// # Panics
-    /// In a debug build, if there is no such direction.
+    /// In a debug build, if there is no such tile.
     #[inline]
-    pub fn tile_origin(&self, direction: u32) -> [u32; 3] {
-        debug_assert!(direction < self.tiles, "{direction} of {} directions", self.tiles);
+    pub fn tile_origin(&self, tile: u32) -> [u32; 3] {
+        debug_assert!(tile < self.tiles, "{tile} of {} tiles", self.tiles);
         let [width, height] = self.tile_size();
-        let line = direction / self.tiles_across;
-        [direction % self.tiles_across * width, line % self.tiles_down * height, line / self.tiles_down]
+        let line = tile / self.tiles_across;
+        [tile % self.tiles_across * width, line % self.tiles_down * height, line / self.tiles_down]
     }
 
-    /// The direction whose tile a texel (x, y, layer) is in, and the first word of it there in the direction's rows as
+    /// The tile that a texel (x, y, layer) is in, and the first word of the texel in the rows of the tile's direction as
     /// the archive has them; `None` outside all tiles.
     #[inline]
     pub fn word_of(&self, [x, y, layer]: [u32; 3]) -> Option<(u32, usize)> {
@@ -143,10 +146,10 @@ impl RowsTexture {
         if column >= self.tiles_across || line >= self.tiles_down {
             return None;
         }
-        let direction = (layer * self.tiles_down + line) * self.tiles_across + column;
+        let tile = (layer * self.tiles_down + line) * self.tiles_across + column;
         let words = TEXEL_WORDS.min(self.words_a_row());
         let word = (y % height) as usize * (width * words) as usize + (x % width * words) as usize;
-        (direction < self.tiles).then_some((direction, word))
+        (tile < self.tiles).then_some((tile, word))
     }
 
     /// Writes the texels of a direction, line by line, from its rows as the archive has them.
@@ -164,7 +167,7 @@ impl RowsTexture {
     }
 }
 
-/// A rows texture on the CPU: the rows stay in the archive's order and are not copied.
+/// A rows texture on the CPU. The rows are not copied: tile i is what is the i-th direction in memory.
 #[derive(Debug, Clone)]
 pub struct RowsImage {
     layout: RowsTexture,
@@ -172,7 +175,7 @@ pub struct RowsImage {
 }
 
 impl RowsImage {
-    /// The texture of a layout over rows in the archive's order, direction after direction.
+    /// The texture of a layout over rows as the archive has them, direction after direction.
     ///
     /// # Panics
     /// If there are other than the layout's directions.
@@ -187,7 +190,7 @@ impl RowsImage {
         &self.layout
     }
 
-    /// The rows in the archive's order.
+    /// The rows, direction after direction.
     pub fn rows(&self) -> &Arc<Vec<u32>> {
         &self.rows
     }
@@ -196,8 +199,8 @@ impl RowsImage {
     #[inline]
     pub fn texel(&self, at: [u32; 3]) -> [u32; 4] {
         let mut texel = [0; 4];
-        if let Some((direction, word)) = self.layout.word_of(at) {
-            let first = direction as usize * self.layout.words_a_direction() + word;
+        if let Some((tile, word)) = self.layout.word_of(at) {
+            let first = tile as usize * self.layout.words_a_direction() + word;
             let words = self.layout.words_a_row().min(TEXEL_WORDS) as usize;
             texel[..words].copy_from_slice(&self.rows[first..first + words]);
         }
@@ -218,16 +221,16 @@ mod tests {
     use super::*;
 
     #[test]
-    fn the_papers_set_takes_two_full_layers() {
+    fn the_papers_set_takes_two_gibibytes() {
         let layout = RowsTexture::new(7, 8100).unwrap();
-        assert_eq!(layout.size(), [8192, 8192, 2]);
+        assert_eq!(layout.size(), [8192, 512, 32]);
         assert_eq!(layout.bytes(), 2 << 30);
         assert_eq!(layout.tile_origin(0), [0, 0, 0]);
         assert_eq!(layout.tile_origin(63), [8064, 0, 0]);
         assert_eq!(layout.tile_origin(64), [0, 128, 0]);
-        assert_eq!(layout.tile_origin(4095), [8064, 8064, 0]);
-        assert_eq!(layout.tile_origin(4100), [512, 0, 1]);
-        assert_eq!(layout.word_of([515, 2, 1]), Some((4100, (2 * 128 + 3) * 4)));
+        assert_eq!(layout.tile_origin(255), [8064, 384, 0]);
+        assert_eq!(layout.tile_origin(4175), [1920, 128, 16]);
+        assert_eq!(layout.word_of([1923, 130, 16]), Some((4175, (2 * 128 + 3) * 4)));
     }
 
     #[test]
@@ -235,14 +238,14 @@ mod tests {
         for (bits, directions, size) in [
             (5, 1, [32, 32, 1]),
             (5, 36, [36 * 32, 32, 1]),
-            (6, 8100, [127 * 64, 64 * 64, 1]),
+            (6, 8100, [127 * 64, 2 * 64, 32]),
             (7, 0, [128, 128, 1]),
-            (7, 65, [33 * 128, 256, 1]),
-            (8, 17, [9 * 512, 512, 1]),
-            // 65 lines of 64 tiles: two layers of 33 lines, not one full and one nearly empty.
-            (7, 4097, [8192, 33 * 128, 2]),
-            // 507 lines of 16 tiles: 16 layers of 32 lines.
-            (8, 8100, [8192, 8192, 16]),
+            (7, 65, [33 * 128, 128, 2]),
+            (7, 4097, [8192, 3 * 128, 22]),
+            (8, 17, [9 * 512, 256, 2]),
+            (8, 8100, [8192, 16 * 256, 32]),
+            // Full height: more layers than usual.
+            (7, 64 * 64 * 33, [8192, 8192, 33]),
         ] {
             let layout = RowsTexture::new(bits, directions).unwrap();
             assert_eq!(layout.size(), size, "{directions} of {bits} bits");
@@ -273,7 +276,8 @@ mod tests {
         for (bits, directions) in [(5, 300), (6, 130), (7, 66), (8, 18)] {
             let layout = RowsTexture::new(bits, directions).unwrap();
             let words = layout.words_a_direction();
-            let rows: Vec<u32> = (0..directions as usize * words).map(|i| (i as u32).wrapping_mul(2_654_435_761)).collect();
+            let rows: Vec<u32> =
+                (0..directions as usize * words).map(|i| (i as u32).wrapping_mul(2_654_435_761)).collect();
             let image = RowsImage::new(layout, Arc::new(rows.clone()));
             let [width, height] = layout.tile_size();
             let mut texels = Vec::new();
@@ -298,7 +302,7 @@ mod tests {
                 }
             }
             assert_eq!(image.texel([MAX_TEXTURE_SIDE, 0, 0]), [0; 4]);
-            assert_eq!(image.texel([0, 0, 9]), [0; 4]);
+            assert_eq!(image.texel([0, 0, 300]), [0; 4]);
         }
     }
 }

@@ -30,14 +30,15 @@ const UNIT_SAMPLES: usize = 5;
 pub(super) struct Unit {
     /// Directions to read, the first and the last of them kept.
     pub(super) directions: Range<u32>,
-    /// Kept directions among them, as a range of [`Plan::kept`].
+    /// Kept directions among them, as a range of [`Plan::kept`] and of tiles.
     pub(super) kept: Range<usize>,
 }
 
 /// What to stream.
 #[derive(Debug)]
 pub(super) struct Plan {
-    /// Directions to keep, ascending. The place in this list is the tile in the texture.
+    /// Directions to keep, in the order of streaming. The place in this list is the tile in the texture, so that what
+    /// comes first lies together.
     pub(super) kept: Vec<u32>,
     /// Where tiles lie.
     pub(super) layout: RowsTexture,
@@ -99,8 +100,14 @@ impl Plan {
             }
         }
         let coarse_units = units.len().div_ceil(COARSE_SHARE);
-        let units = in_farthest_point_order(units, &kept, axes);
-        Self { kept, layout, units, coarse_units }
+        let mut units = in_farthest_point_order(units, &kept, axes);
+        let mut in_order = Vec::with_capacity(kept.len());
+        for unit in &mut units {
+            let first = in_order.len();
+            in_order.extend_from_slice(&kept[unit.kept.clone()]);
+            unit.kept = first..in_order.len();
+        }
+        Self { kept: in_order, layout, units, coarse_units }
     }
 }
 
@@ -159,7 +166,9 @@ mod tests {
     /// Every kept direction is in one unit, and no unit reads more than a chunk.
     fn check(plan: &Plan, bits: u32) {
         let mut seen = vec![false; plan.kept.len()];
+        assert_eq!(plan.kept.iter().collect::<std::collections::BTreeSet<_>>().len(), plan.kept.len());
         for unit in &plan.units {
+            assert!(plan.kept[unit.kept.clone()].is_sorted());
             assert_eq!(plan.kept[unit.kept.start], unit.directions.start);
             assert_eq!(plan.kept[unit.kept.end - 1] + 1, unit.directions.end);
             assert!(unit.directions.len() << (3 * bits - 3) <= MAX_CHUNK_BYTES);
@@ -175,7 +184,9 @@ mod tests {
     #[test]
     fn all_is_kept_where_it_fits() {
         let plan = plan(7, PAPER, 2 << 30).unwrap();
-        assert_eq!(plan.kept, (0..8100).collect::<Vec<u32>>());
+        let mut kept = plan.kept.clone();
+        kept.sort_unstable();
+        assert_eq!(kept, (0..8100).collect::<Vec<u32>>());
         assert_eq!(plan.units.len(), 507);
         check(&plan, 7);
     }

@@ -10,7 +10,7 @@
 //! - the *frames*: an array of [`DirectionFrame`]s, one for each tile;
 //! - the *tile table*: for each direction of the set the tile that answers for it, a `u32` each. A direction that is not
 //!   resident is answered by the nearest one that is: once it arrives, by itself; the others are looked up anew when
-//!   the number of resident ones has doubled. Where all directions are kept, tile numbers are direction numbers;
+//!   the number of resident ones has doubled;
 //! - the *octree levels*: one buffer of [`SvoNode`]s for each level from the root down to
 //!   [`Progress::octree_levels`].
 //!
@@ -136,6 +136,7 @@ pub struct GpuScene {
     info: RowsInfo,
     directions: DirectionSet,
     kept: Vec<u32>,
+    tile_of: Vec<Option<u32>>,
     layout: RowsTexture,
     frames: Vec<DirectionFrame>,
     rows: wgpu::Texture,
@@ -217,6 +218,10 @@ impl GpuScene {
         })?;
         let ring = Ring::new(&context, 2 * rayon::current_num_threads().max(1))?;
 
+        let mut tile_of = vec![None; axes.len()];
+        for (tile, &direction) in (0..).zip(&plan.kept) {
+            tile_of[direction as usize] = Some(tile);
+        }
         let mut steps = VecDeque::new();
         let mut before = 0;
         let (mut coarse, mut fine) = (Vec::new(), Vec::new());
@@ -243,6 +248,7 @@ impl GpuScene {
             bytes_total: plan.kept.len() as u64 * info.direction_bytes() as u64 + octree_bytes,
             gpu_bytes: rows_bytes + octree_bytes,
             kept: plan.kept,
+            tile_of,
             refinement: Mutex::new(Refinement::new(steps, plan.coarse_units, ring)),
             cancelled: AtomicBool::new(false),
             context,
@@ -296,10 +302,11 @@ impl GpuScene {
     /// The tile of a direction in the rows texture, its place in [`frames`](Self::frames); `None` for directions that
     /// are not kept.
     pub fn tile_of(&self, direction: u32) -> Option<u32> {
-        self.kept.binary_search(&direction).ok().map(|place| place as u32)
+        self.tile_of.get(direction as usize).copied().flatten()
     }
 
-    /// The directions that have a tile, tile by tile: all, or as many as the budget holds.
+    /// The directions that have a tile, tile by tile: all, or as many as the budget holds. Tiles are numbered in the order
+    /// in which they arrive.
     pub fn directions_kept(&self) -> &[u32] {
         &self.kept
     }
