@@ -29,6 +29,11 @@ impl Resident {
         self.count
     }
 
+    /// Whether a direction has arrived.
+    pub(super) fn has(&self, direction: u32) -> bool {
+        self.arrived.get(direction as usize).copied().unwrap_or(false)
+    }
+
     /// A direction has arrived and answers for itself from now on.
     pub(super) fn insert(&mut self, direction: u32) {
         let at = direction as usize;

@@ -291,12 +291,18 @@ impl GpuScene {
         self.progress_of(&self.lock())
     }
 
-    /// The direction that answers for `direction`: itself once it is resident.
+    /// The direction that answers for `direction`: itself once it is resident, else one near it. Before the coarse part
+    /// has arrived it may be one whose rows are still empty.
     ///
     /// # Panics
     /// If the set has no such direction.
     pub fn resident_direction(&self, direction: u32) -> u32 {
         self.resident.read().unwrap_or_else(PoisonError::into_inner).nearest()[direction as usize]
+    }
+
+    /// Whether the rows of a direction have been uploaded.
+    pub fn is_resident(&self, direction: u32) -> bool {
+        self.resident.read().unwrap_or_else(PoisonError::into_inner).has(direction)
     }
 
     /// The tile of a direction in the rows texture, its place in [`frames`](Self::frames); `None` for directions that
