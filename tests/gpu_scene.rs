@@ -209,7 +209,7 @@ fn the_device_has_webgpus_default_limits(context: &GpuContext) -> Result<(), Fai
     ensure(default.max_texture_array_layers == manyview_shaders::rows_texture::MAX_TEXTURE_LAYERS, || {
         "the texture's limits are not WebGPU's".to_owned()
     })?;
-    ensure(default.max_storage_buffer_binding_size as u64 == ExecutorLimits::DEFAULT.binding_bytes, || {
+    ensure(default.max_storage_buffer_binding_size == ExecutorLimits::DEFAULT.binding_bytes, || {
         "the buffers' limits are not WebGPU's".to_owned()
     })
 }

@@ -429,8 +429,8 @@ impl Executor for CpuExecutor {
                     self.images.insert(*target, image);
                 }
                 Command::Download { buffer, words } => {
-                    let content =
-                        self.shared.get(buffer).map_or_else(|| &self.buffers[buffer], |shared| shared);
+                    let shared = self.shared.get(buffer).map(|shared| &shared[..]);
+                    let content = shared.unwrap_or_else(|| &self.buffers[buffer]);
                     downloads.push(content[..*words].to_vec());
                 }
             }

@@ -64,7 +64,7 @@ impl Plan {
         };
         let mut smallest_bytes = u64::MAX;
         for rung in 0.. {
-            let steps = [1 << rung / 2 + rung % 2, 1 << rung / 2];
+            let steps = [1 << (rung / 2 + rung % 2), 1 << (rung / 2)];
             let count = lines.div_ceil(steps[0]) * columns.div_ceil(steps[1]);
             if rung > 0 && count < FEWEST_DIRECTIONS {
                 break;

@@ -265,17 +265,25 @@ impl GpuScene {
     /// Goes on until all has arrived on the GPU. Waits.
     pub fn finish(&self) -> Result<Progress, StreamError> {
         self.drive(|progress| progress.is_complete)?;
-        // What is still under way may fail.
+        self.wait()?;
+        Ok(self.progress())
+    }
+
+    /// Waits until what was uploaded so far has arrived on the GPU, or for the reason why it has not.
+    pub fn wait(&self) -> Result<(), StreamError> {
         loop {
             let pending = {
-                let mut refinement = self.lock();
-                self.context.pump()?;
-                refinement.ring.collect()?;
+                let refinement = &mut *self.lock();
+                let collected = self.context.pump().and_then(|()| refinement.ring.collect(&self.context));
+                if let Err(error) = collected {
+                    refinement.failure.get_or_insert(error.to_string());
+                    return Err(error.into());
+                }
                 refinement.ring.pending()
             };
             match pending {
                 Some(submission) => self.context.wait(&submission)?,
-                None => return Ok(self.progress()),
+                None => return Ok(()),
             }
         }
     }
@@ -389,7 +397,7 @@ impl GpuScene {
             let (progress, pending) = {
                 let mut refinement = self.lock();
                 let progress = self.go_on(&mut refinement, u64::MAX)?;
-                let is_full = refinement.ring.collect()? == 0;
+                let is_full = refinement.ring.collect(&self.context)? == 0;
                 (progress, refinement.ring.pending().filter(|_| is_full))
             };
             if reached(&progress) {
@@ -418,7 +426,7 @@ impl GpuScene {
             return Err(DeviceError::Failed(format!("streaming ended earlier: {failure}")).into());
         }
         self.context.pump()?;
-        let free = refinement.ring.collect()?;
+        let free = refinement.ring.collect(&self.context)?;
         let threads = rayon::current_num_threads().max(1);
         let unit_bytes = refinement.decoded.front().map_or(1, |decoded| decoded.rows.len() as u64 * 4).max(1);
         let most =

@@ -240,11 +240,11 @@ impl Ring {
     }
 
     /// Frees the marks that were reached; how many are free.
-    pub(super) fn collect(&mut self) -> Result<usize, DeviceError> {
+    pub(super) fn collect(&mut self, context: &GpuContext) -> Result<usize, DeviceError> {
         for mark in &mut self.0 {
             match mark.state.load(Ordering::Acquire) {
                 ARRIVED => {
-                    mark.buffer.unmap();
+                    context.guarded("marks of uploads", 0, || mark.buffer.unmap())?;
                     mark.state.store(FREE, Ordering::Release);
                     mark.submission = None;
                 }
