@@ -21,6 +21,8 @@ pub enum BindingKind {
     ReadWrite,
     /// A depth image to read.
     Depth,
+    /// The rows of all directions to read ([`crate::rows_texture`]): a `texture_2d_array<u32>`.
+    Rows,
 }
 
 /// The CPU twin of a compute stage, given the number of workgroups along each axis.
