@@ -248,6 +248,58 @@ impl LightPoint {
     }
 }
 
+/// What stages with `lib_hidden_lights.wgsl` need to know, 32 bytes.
+#[repr(C)]
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Pod, Zeroable)]
+pub struct HiddenLightsParams {
+    /// Receivers of the band.
+    pub receivers: u32,
+    /// Lights of the piece.
+    pub lights: u32,
+    /// Words of one receiver.
+    pub light_words: u32,
+    /// Lights that one invocation tests; divides 32.
+    pub lights_per_invocation: u32,
+    /// Iterations that a ray may take.
+    pub steps_per_ray: u32,
+    /// Index of the word that is set to 1 if a ray needs more.
+    pub exhausted_word: u32,
+    /// Zero.
+    pub reserved: [u32; 2],
+}
+
+/// What stages with `lib_segments.wgsl` need to know, 16 bytes.
+#[repr(C)]
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Pod, Zeroable)]
+pub struct SegmentParams {
+    /// Segments of the piece.
+    pub segments: u32,
+    /// 1 for distances, 0 for whether anything is there.
+    pub wants_distance: u32,
+    /// Iterations that a ray may take.
+    pub steps_per_ray: u32,
+    /// Index of the word that is set to 1 if a ray needs more.
+    pub exhausted_word: u32,
+}
+
+/// Where a brickmap lies and how rays enter it, 32 bytes.
+#[repr(C)]
+#[derive(Debug, Clone, Copy, PartialEq, Pod, Zeroable)]
+pub struct BrickmapParams {
+    /// World position of the smallest corner, metres.
+    pub origin: [f32; 3],
+    /// Cells per metre.
+    pub cells_per_metre: f32,
+    /// Cells a side, a power of two, at least 16.
+    pub side: u32,
+    /// log2 of coarse cells a side.
+    pub coarse_bits: u32,
+    /// How far a ray's origin is lifted along its normal, cells.
+    pub normal_cells: f32,
+    /// How far a ray's beginning is skipped, divided by the cosine between ray and normal, cells.
+    pub skip_cells: f32,
+}
+
 /// A struct's layout as Rust has it.
 #[derive(Debug)]
 pub struct GpuStruct {
@@ -284,4 +336,11 @@ gpu_structs! {
     DirectionFrame { row_from_lattice, offset }
     TriangleMask { plane, threshold, map, reserved }
     TexelMap { texel, step1, step2, shift }
+    HiddenLightsParams {
+        receivers, lights, light_words, lights_per_invocation, steps_per_ray, exhausted_word, reserved,
+    }
+    Receiver { position, normal }
+    LightPoint { offset, position_weight }
+    SegmentParams { segments, wants_distance, steps_per_ray, exhausted_word }
+    BrickmapParams { origin, cells_per_metre, side, coarse_bits, normal_cells, skip_cells }
 }
