@@ -4,6 +4,7 @@ use crate::brickmap::{BRICKMAP_EMPTY, MIN_COSINE, MIN_DIRECTION};
 use crate::directions::ROW_RAW_BITS;
 use crate::masks::{UNMASKED, WrapCode};
 use crate::testable::MIN_LENGTH_SQUARED;
+use crate::wide_bvh::BVH_STACK;
 
 /// Pixels that one invocation visits for one triangle along one axis; a triangle with more is done by workgroups.
 pub const SMALL_PIXELS: u32 = 256;
@@ -32,6 +33,7 @@ pub fn wgsl() -> String {
         ("MAX_WORKGROUPS", MAX_WORKGROUPS),
         ("INFINITY_BITS", f32::INFINITY.to_bits()),
         ("BRICKMAP_EMPTY", BRICKMAP_EMPTY),
+        ("BVH_STACK", BVH_STACK),
     ];
     let mut lines: String =
         integers.iter().map(|(name, value)| format!("const {name}: u32 = {value}u;\n")).collect();

@@ -18,3 +18,4 @@ pub mod svo;
 pub mod testable;
 pub mod trig;
 pub mod types;
+pub mod wide_bvh;

@@ -92,10 +92,31 @@ impl PackedTriangle {
         if self.mask == UNMASKED {
             return true;
         }
-        let mask = &masks[self.mask as usize];
-        let plane = &planes[mask.plane as usize];
-        plane.alpha(alpha, mask.map.at(weights)) >= mask.threshold
+        masks[self.mask as usize].passes_packed(planes, alpha, weights)
     }
+}
+
+impl TriangleMask {
+    /// [`TriangleMask::passes`] with planes as the GPU has them.
+    #[inline]
+    pub fn passes_packed(&self, planes: &[PackedPlane], alpha: &[u32], weights: [u32; 2]) -> bool {
+        planes[self.plane as usize].alpha(alpha, self.map.at(weights)) >= self.threshold
+    }
+}
+
+/// Planes one after the other, each from a whole word on, and where they lie.
+pub fn pack_planes(planes: &[AlphaPlane]) -> (Vec<PackedPlane>, Vec<u32>) {
+    let mut packed = Vec::with_capacity(planes.len());
+    let mut alpha = Vec::new();
+    for plane in planes {
+        packed.push(PackedPlane::new(plane, alpha.len() as u32 * 4));
+        alpha.extend(plane.alpha.chunks(4).map(|four| {
+            let mut bytes = [0; 4];
+            bytes[..four.len()].copy_from_slice(four);
+            u32::from_le_bytes(bytes)
+        }));
+    }
+    (packed, alpha)
 }
 
 /// Where an alpha plane lies in the buffer of all planes, 20 bytes.
@@ -300,6 +321,24 @@ pub struct BrickmapParams {
     pub skip_cells: f32,
 }
 
+/// What the stages that traverse a compressed wide BVH need to know, 32 bytes.
+#[repr(C)]
+#[derive(Debug, Clone, Copy, PartialEq, Pod, Zeroable)]
+pub struct WideBvhParams {
+    /// World position that the tree's coordinates are relative to, metres.
+    pub center: [f32; 3],
+    /// How far a ray's origin is lifted along its normal, metres.
+    pub lift: f32,
+    /// Nodes of the tree.
+    pub nodes: u32,
+    /// Zero.
+    pub reserved_a: u32,
+    /// Zero.
+    pub reserved_b: u32,
+    /// Zero.
+    pub reserved_c: u32,
+}
+
 /// A struct's layout as Rust has it.
 #[derive(Debug)]
 pub struct GpuStruct {
@@ -342,5 +381,6 @@ gpu_structs! {
     Receiver { position, normal }
     LightPoint { offset, position_weight }
     SegmentParams { segments, wants_distance, steps_per_ray, exhausted_word }
+    WideBvhParams { center, lift, nodes, reserved_a, reserved_b, reserved_c }
     BrickmapParams { origin, cells_per_metre, side, coarse_bits, normal_cells, skip_cells }
 }

@@ -130,7 +130,7 @@ fn segments_are_answered_one_by_one() {
     segments[7].target[1] = f32::INFINITY;
     let march = |s: &Segment| testable(s).and_then(|s| map.view().march(&s, &mut { u32::MAX }));
     let expected: Vec<Option<f32>> = segments.iter().map(march).collect();
-    assert!(expected.iter().flatten().count() > 100 && expected[5..8] == [None; 3]);
+    assert!(expected.iter().flatten().count() > 20 && expected[5..8] == [None; 3]);
     for rays_per_dispatch in [1, 1 << 20] {
         let (mut executor, bindings) = loaded(&map, ExecutorLimits::DEFAULT);
         let stage = MethodStage { rays_per_dispatch, ..method(&stages::brickmap_segments, &bindings) };
