@@ -10,5 +10,9 @@
 //! The judge is none of them: it is [`crate::reference::Reference`], in `f64`.
 
 pub mod brickmap;
+#[cfg(feature = "bake")]
+pub mod bvh;
 mod parallel;
 pub mod stage;
+#[cfg(feature = "bake")]
+pub mod wide_bvh;

@@ -27,11 +27,14 @@ pub(super) fn distances(
     intersect: impl Fn(&Segment) -> Option<f32> + Sync,
 ) {
     assert_eq!(segments.len(), distances.len(), "one answer for each segment");
-    segments.par_chunks(SEGMENTS).zip(distances.par_chunks_mut(SEGMENTS)).for_each(|(segments, distances)| {
-        for (segment, distance) in segments.iter().zip(distances) {
-            *distance = testable(segment).and_then(|segment| intersect(&segment)).unwrap_or(f32::INFINITY);
-        }
-    });
+    segments.par_chunks(SEGMENTS).zip(distances.par_chunks_mut(SEGMENTS)).for_each(
+        |(segments, distances)| {
+            for (segment, distance) in segments.iter().zip(distances) {
+                *distance =
+                    testable(segment).and_then(|segment| intersect(&segment)).unwrap_or(f32::INFINITY);
+            }
+        },
+    );
 }
 
 /// [`crate::visibility::Visibility::hidden_lights`].
