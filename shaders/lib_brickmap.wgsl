@@ -24,25 +24,30 @@ fn group_bit(p: vec3<u32>) -> u32 {
     return low.x | (low.y << 1u) | (low.z << 2u) | (high.x << 2u) | (high.y << 3u) | (high.z << 4u);
 }
 
-// log2 of the empty cells a side around `cell`, or 32 if it is set.
-fn empty_bits(cell: vec3<u32>) -> u32 {
-    let at = cell >> vec3<u32>(4u);
-    let entry = coarse[(((at.z << brickmap.coarse_bits) | at.y) << brickmap.coarse_bits) | at.x];
-    if entry >= BRICKMAP_EMPTY {
-        return entry - BRICKMAP_EMPTY;
+// log2 of the empty cells a side around `cell`, or 32 if it is set. `*brick_at` is the brick that `*bits` are of: rays
+// stay in a brick for some steps.
+fn empty_bits(cell: vec3<u32>, brick_at: ptr<function, vec3<u32>>, bits: ptr<function, vec2<u32>>) -> u32 {
+    let brick_cell = cell >> vec3<u32>(2u);
+    if any(brick_cell != *brick_at) {
+        let at = cell >> vec3<u32>(4u);
+        let entry = coarse[(((at.z << brickmap.coarse_bits) | at.y) << brickmap.coarse_bits) | at.x];
+        if entry >= BRICKMAP_EMPTY {
+            return entry - BRICKMAP_EMPTY;
+        }
+        let block = blocks[entry];
+        let brick = group_bit(brick_cell);
+        let in_high = brick >= 32u;
+        let word = select(block.x, block.y, in_high);
+        let shift = brick & 31u;
+        if ((word >> shift) & 1u) == 0u {
+            return select(3u, 2u, ((word >> (shift & 24u)) & 255u) != 0u);
+        }
+        let before = countOneBits(word & ((1u << shift) - 1u)) + select(0u, countOneBits(block.x), in_high);
+        *brick_at = brick_cell;
+        *bits = bricks[block.z + before];
     }
-    let block = blocks[entry];
-    let brick = group_bit(cell >> vec3<u32>(2u));
-    let in_high = brick >= 32u;
-    let word = select(block.x, block.y, in_high);
-    let shift = brick & 31u;
-    if ((word >> shift) & 1u) == 0u {
-        return select(3u, 2u, ((word >> (shift & 24u)) & 255u) != 0u);
-    }
-    let before = countOneBits(word & ((1u << shift) - 1u)) + select(0u, countOneBits(block.x), in_high);
-    let bits = bricks[block.z + before];
     let index = group_bit(cell);
-    let half = select(bits.x, bits.y, index >= 32u);
+    let half = select((*bits).x, (*bits).y, index >= 32u);
     let bit = index & 31u;
     if ((half >> bit) & 1u) == 1u {
         return 32u;
@@ -76,27 +81,29 @@ fn march(origin: vec3<f32>, end: vec3<f32>, normal: vec3<f32>) -> f32 {
     if !(t < t_end) {
         return -1.0;
     }
-    let last = vec3<f32>(side - 1.0);
-    var cell = vec3<u32>(clamp(floor(start + along * t), vec3<f32>(0.0), last));
+    // No number here is below -1: cutting off fractions rounds down, but for those that are clamped anyway.
+    var cell = clamp(vec3<i32>(start + along * t), vec3<i32>(0i), vec3<i32>(i32(brickmap.side) - 1i));
+    var brick_at = vec3<u32>(BRICKMAP_EMPTY);
+    var bits = vec2<u32>(0u);
     while steps_left > 0u {
         steps_left -= 1u;
-        let empty = empty_bits(cell ^ mirror);
+        let empty = empty_bits(vec3<u32>(cell) ^ mirror, &brick_at, &bits);
         if empty == 32u {
             return t * length / scale;
         }
         // Out of the empty cube, through the nearest of its far planes: their distances follow start whole numbers
         // alone. Along the other axes the ray stays in the cube, whatever rounding says.
-        let far = (cell | vec3<u32>((1u << empty) - 1u)) + vec3<u32>(1u);
+        let far = (cell | vec3<i32>((1i << empty) - 1i)) + vec3<i32>(1i);
         let planes = (vec3<f32>(far) - start) * inverse;
         t = max(t, min(planes.x, min(planes.y, planes.z)));
         if !(t < t_end) {
             return -1.0;
         }
-        let next = vec3<u32>(clamp(floor(start + along * t), vec3<f32>(cell), vec3<f32>(far - vec3<u32>(1u))));
+        let next = clamp(vec3<i32>(start + along * t), cell, far - vec3<i32>(1i));
         let x_first = planes.x <= planes.y && planes.x <= planes.z;
         let y_first = !x_first && planes.y <= planes.z;
         cell = select(next, far, vec3<bool>(x_first, y_first, !x_first && !y_first));
-        if any(cell >= vec3<u32>(brickmap.side)) {
+        if any(cell >= vec3<i32>(i32(brickmap.side))) {
             return -1.0;
         }
     }

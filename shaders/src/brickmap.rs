@@ -179,27 +179,32 @@ impl<'a> BrickmapView<'a> {
         }
     }
 
-    /// log2 of the empty cells a side around `cell`, or `None` if it is set.
+    /// log2 of the empty cells a side around `cell`, or `None` if it is set. `cached` is the last brick looked into and
+    /// its mask: rays stay in a brick for some steps.
     #[inline]
-    fn empty_bits(&self, cell: [u32; 3]) -> Option<u32> {
-        let entry = self.coarse[coarse_index(self.params.coarse_bits, cell.map(|c| c >> COARSE_CELL_BITS))];
-        if entry >= BRICKMAP_EMPTY {
-            return Some(entry - BRICKMAP_EMPTY);
+    fn empty_bits(&self, cell: [u32; 3], cached: &mut ([u32; 3], u64)) -> Option<u32> {
+        let brick_cell = cell.map(|c| c >> 2);
+        if brick_cell != cached.0 {
+            let at = cell.map(|c| c >> COARSE_CELL_BITS);
+            let entry = self.coarse[coarse_index(self.params.coarse_bits, at)];
+            if entry >= BRICKMAP_EMPTY {
+                return Some(entry - BRICKMAP_EMPTY);
+            }
+            let block = &self.blocks[entry as usize];
+            let brick = group_bit(brick_cell);
+            let mask = u64::from(block[0]) | u64::from(block[1]) << 32;
+            if mask >> brick & 1 == 0 {
+                return Some(if mask >> (brick & 56) & 255 == 0 { 3 } else { 2 });
+            }
+            let before = (mask & ((1 << brick) - 1)).count_ones();
+            let bits = self.bricks[(block[2] + before) as usize];
+            *cached = (brick_cell, u64::from(bits[0]) | u64::from(bits[1]) << 32);
         }
-        let block = &self.blocks[entry as usize];
-        let brick = group_bit(cell.map(|c| c >> 2));
-        let mask = u64::from(block[0]) | u64::from(block[1]) << 32;
-        if mask >> brick & 1 == 0 {
-            return Some(if mask >> (brick & 56) & 255 == 0 { 3 } else { 2 });
-        }
-        let before = (mask & ((1 << brick) - 1)).count_ones();
-        let bits = self.bricks[(block[2] + before) as usize];
-        let mask = u64::from(bits[0]) | u64::from(bits[1]) << 32;
         let bit = group_bit(cell);
-        if mask >> bit & 1 == 1 {
+        if cached.1 >> bit & 1 == 1 {
             return None;
         }
-        Some(u32::from(mask >> (bit & 56) & 255 == 0))
+        Some(u32::from(cached.1 >> (bit & 56) & 255 == 0))
     }
 
     /// Distance in metres to the first set cell along a testable segment ([`crate::testable`]), from its lifted origin.
@@ -237,10 +242,13 @@ impl<'a> BrickmapView<'a> {
         if t.partial_cmp(&t_end) != Some(std::cmp::Ordering::Less) {
             return None;
         }
-        let mut cell = [0, 1, 2].map(|i| (start[i] + along[i] * t).floor().clamp(0.0, side - 1.0) as u32);
+        // No number here is below -1: cutting off fractions rounds down, but for those that are clamped anyway.
+        let mut cell = [0, 1, 2].map(|i| ((start[i] + along[i] * t) as i32).clamp(0, params.side as i32 - 1));
+        let mut cached = ([u32::MAX; 3], 0);
         while *steps_left > 0 {
             *steps_left -= 1;
-            let Some(empty) = self.empty_bits([0, 1, 2].map(|i| cell[i] ^ mirror[i])) else {
+            let Some(empty) = self.empty_bits([0, 1, 2].map(|i| cell[i] as u32 ^ mirror[i]), &mut cached)
+            else {
                 return Some(t * length / scale);
             };
             let far = cell.map(|c| (c | ((1 << empty) - 1)) + 1);
@@ -257,10 +265,10 @@ impl<'a> BrickmapView<'a> {
                 2
             };
             for i in 0..3 {
-                let next = (start[i] + along[i] * t).floor();
-                cell[i] = if i == axis { far[i] } else { (next as u32).clamp(cell[i], far[i] - 1) };
+                let next = (start[i] + along[i] * t) as i32;
+                cell[i] = if i == axis { far[i] } else { next.max(cell[i]).min(far[i] - 1) };
             }
-            if cell[axis] >= params.side {
+            if cell[axis] >= params.side as i32 {
                 return None;
             }
         }
@@ -310,7 +318,7 @@ mod tests {
                 for y in 0..side {
                     for x in 0..side {
                         let set = cells.contains(&[x, y, z].map(|c| c as u16));
-                        let empty = map.view().empty_bits([x, y, z]);
+                        let empty = map.view().empty_bits([x, y, z], &mut ([u32::MAX; 3], 0));
                         assert_eq!(empty.is_none(), set);
                         // The cube that is said to be empty is.
                         if let Some(bits) = empty {
