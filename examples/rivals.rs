@@ -14,6 +14,7 @@ use manyview::preview::{CameraChoice, Scene, choose_camera};
 use manyview::reference::{Reference, area_normal};
 use manyview::rivals::brickmap::{self, BrickmapBias, BrickmapVisibility};
 use manyview::rivals::bvh::{BvhVisibility, ExactVisibility};
+use manyview::rivals::ism::{IsmOptions, IsmVisibility};
 use manyview::rivals::wide_bvh::WideBvh;
 use manyview::visibility::{LightPoint, Receiver, Visibility, light_words};
 use manyview_shaders::executor::ExecutorLimits;
@@ -92,6 +93,16 @@ fn receivers(
     Ok(receivers)
 }
 
+/// Time that all threads of this process have run, seconds; on a machine with other work it says more than a clock. 0
+/// where the system does not tell.
+fn processor_seconds() -> f64 {
+    let stat = fs_err::read_to_string("/proc/self/stat").unwrap_or_default();
+    let after_name = stat.rsplit(')').next().unwrap_or_default();
+    let ticks: f64 =
+        after_name.split_whitespace().skip(11).take(2).filter_map(|field| field.parse::<f64>().ok()).sum();
+    ticks / 100.0
+}
+
 struct Bench<'a> {
     receivers: &'a [Receiver],
     lights: &'a [LightPoint],
@@ -111,9 +122,9 @@ impl Bench<'_> {
         // Once for pipelines and caches.
         let few = receivers.len().min(64);
         method.hidden_lights(&receivers[..few], self.lights, &mut hidden[..few * words])?;
-        let start = Instant::now();
+        let (start, busy) = (Instant::now(), processor_seconds());
         method.hidden_lights(&receivers, self.lights, &mut hidden)?;
-        let seconds = start.elapsed().as_secs_f64();
+        let (seconds, busy) = (start.elapsed().as_secs_f64(), processor_seconds() - busy);
         let rays = receivers.len() * self.lights.len();
         let rate = rays as f64 / seconds / 1e6;
         let (mut wrong, mut set, mut net) = (0u64, 0u64, 0u64);
@@ -129,7 +140,8 @@ impl Bench<'_> {
             net += u64::from(more.abs_diff(less));
         }
         println!(
-            "{label:<34} {rate:>9.3} Mray/s  eps_v {:>6.3} %  eps_s {:>6.3} %  ({:.1} % hidden, {:.1} s)",
+            "{label:<36} {rate:>9.3} Mray/s {:>9.3} Mray per processor second  eps_v {:>6.3} %  eps_s {:>6.3} %  ({:.1} % hidden, {:.1} s)",
+            rays as f64 / busy / 1e6,
             100.0 * wrong as f64 / rays as f64,
             100.0 * net as f64 / rays as f64,
             100.0 * set as f64 / rays as f64,
@@ -197,6 +209,8 @@ fn main() -> Result<()> {
         }
         return Ok(());
     }
+    let ism = IsmVisibility::new(&reference, IsmOptions::default());
+    bench.run("ism (CPU)", &ism, 1)?;
     bench.run("bvh (CPU)", &BvhVisibility::new(&reference), 1)?;
     let context = GpuContext::open(&AdapterChoice::from_env());
     if let Ok(context) = &context {

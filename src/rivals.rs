@@ -12,6 +12,8 @@
 pub mod brickmap;
 #[cfg(feature = "bake")]
 pub mod bvh;
+#[cfg(feature = "bake")]
+pub mod ism;
 mod parallel;
 pub mod stage;
 #[cfg(feature = "bake")]
