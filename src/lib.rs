@@ -10,6 +10,7 @@ pub mod rays;
 #[cfg(feature = "bake")]
 pub mod reference;
 pub mod scene_cpu;
+pub mod rivals;
 pub mod visibility;
 
 pub use archive::{Archive, LoadError};
