@@ -9,8 +9,8 @@ pub mod preview;
 pub mod rays;
 #[cfg(feature = "bake")]
 pub mod reference;
-pub mod scene_cpu;
 pub mod rivals;
+pub mod scene_cpu;
 pub mod visibility;
 
 pub use archive::{Archive, LoadError};

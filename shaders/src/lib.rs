@@ -13,6 +13,7 @@ pub mod raster;
 pub mod rgb9e5;
 pub mod row_bits;
 pub mod row_test;
+pub mod row_view;
 pub mod rows_texture;
 pub mod sections;
 pub mod srgb;

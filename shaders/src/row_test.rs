@@ -48,8 +48,8 @@ pub struct TestFrame {
     /// Rows of the matrix from a world normal ([`NORMAL_STEPS`]) to the normal in voxels, of any length; each entry at
     /// most 2^10.
     pub voxel_from_world_normal: [[i32; 3]; 3],
-    /// Zero.
-    pub reserved: [u32; 3],
+    /// The texel (x, y, layer) at the corner of the direction's tile; 0 where rows are in memory.
+    pub corner: [u32; 3],
 }
 
 impl TestFrame {
@@ -69,8 +69,14 @@ impl TestFrame {
             raw_from_lattice: frame.row_from_lattice.map(|row| row.map(rounded)),
             offset: frame.offset.map(rounded),
             voxel_from_world_normal: normals.map(|row| row.map(|c| (c * scale + 0.5).floor() as i32)),
-            reserved: [0; 3],
+            corner: [0; 3],
         }
+    }
+
+    /// With the corner of its tile in a rows texture.
+    #[must_use]
+    pub fn with_corner(self, corner: [u32; 3]) -> Self {
+        Self { corner, ..self }
     }
 }
 
@@ -114,7 +120,7 @@ impl Default for TestSettings {
     }
 }
 
-/// What the test needs to know of an archive, 64 bytes.
+/// What the test needs to know of an archive, 48 bytes.
 #[repr(C)]
 #[derive(Debug, Clone, Copy, PartialEq, Pod, Zeroable)]
 pub struct RowTestParams {
@@ -124,8 +130,6 @@ pub struct RowTestParams {
     pub bits: u32,
     /// Lattice steps per metre.
     pub steps_per_metre: [f32; 3],
-    /// Directions' tiles side by side in a layer of the rows texture.
-    pub tile_columns: u32,
     /// [`TestSettings::normal_voxels`], a quarter of it, in raw steps.
     pub normal_quarter: i32,
     /// [`TestSettings::skip_voxels`] in raw steps.
@@ -134,16 +138,12 @@ pub struct RowTestParams {
     pub split: u32,
     /// [`TestSettings::consensus`].
     pub consensus: u32,
-    /// Directions' tiles one above the other in a layer of the rows texture.
-    pub tile_rows: u32,
     /// Zero. Shaders combine floats with it where a compiler must not fuse a product with a sum.
     pub zero: u32,
-    /// Zero.
-    pub reserved: [u32; 2],
 }
 
 impl RowTestParams {
-    /// For rows of `2^bits` voxels a side over `lattice`. The tiles are 0: only textures have them.
+    /// For rows of `2^bits` voxels a side over `lattice`.
     pub fn new(lattice: &RowLattice, bits: u32, settings: &TestSettings) -> Self {
         let voxel = (1u32 << (TEST_RAW_BITS - bits)) as f32;
         let raw = |voxels: f32| (voxels.clamp(0.0, 16.0) * voxel) as i32;
@@ -151,14 +151,11 @@ impl RowTestParams {
             center: lattice.center.map(|c| c as f32),
             bits,
             steps_per_metre: lattice.half_extent.map(|h| (f64::from(ROW_LATTICE) / h) as f32),
-            tile_columns: 0,
             normal_quarter: raw(settings.normal_voxels) / 4,
             skip: raw(settings.skip_voxels),
             split: u32::from(settings.rows == Rows::Split),
             consensus: u32::from(settings.consensus),
-            tile_rows: 0,
             zero: 0,
-            reserved: [0; 2],
         }
     }
 
@@ -188,6 +185,11 @@ fn max_abs(v: [f32; 3]) -> f32 {
     let [x, y, z] = v.map(f32::abs);
     let xy = if x > y { x } else { y };
     if xy > z { xy } else { z }
+}
+
+/// Two cells a word, the first in the low half: how shaders read the table.
+pub fn packed_cells(directions: &[u16]) -> Vec<u32> {
+    directions.as_chunks().0.iter().map(|&[a, b]| u32::from(a) | u32::from(b) << 16).collect()
 }
 
 /// Index of the [`DirectionTable`]'s cell for a vector in world space, of any length but zero, in either sense.

@@ -5,6 +5,8 @@ use crate::device::PackedFragment;
 use crate::directions::DirectionFrame;
 use crate::masks::{AlphaPlane, TexelMap, TriangleMask, UNMASKED, WrapCode, wrap_texel};
 use crate::raster::{Grid, VoxelBox};
+use crate::row_test::{RowTestParams, TestFrame};
+use crate::testable::{is_behind, testable};
 use bytemuck::{Pod, Zeroable};
 use std::mem::offset_of;
 
@@ -268,11 +270,7 @@ impl LightPoint {
     /// Whether the receiver's own surface hides this light: it is not in front of it.
     #[inline]
     pub fn is_behind(&self, receiver: &Receiver) -> bool {
-        let segment = self.segment_from(receiver);
-        let way = [0, 1, 2].map(|i| segment.target[i] - segment.origin[i]);
-        let n = receiver.normal;
-        let is_valid = way.iter().all(|c| c.is_finite()) && way != [0.0; 3];
-        is_valid && n != [0.0; 3] && !(way[0] * n[0] + way[1] * n[1] + way[2] * n[2] > 0.0)
+        testable(&self.segment_from(receiver)).is_some_and(|segment| is_behind(&segment))
     }
 }
 
@@ -369,6 +367,8 @@ macro_rules! gpu_structs {
 }
 
 gpu_structs! {
+    RowTestParams { center, bits, steps_per_metre, normal_quarter, skip, split, consensus, zero }
+    TestFrame { raw_from_lattice, offset, voxel_from_world_normal, corner }
     RasterParams {
         clip_min, grid_bits, clip_max, sub_bits, bit_stride, direction_stride, triangles, directions, capacity, reserved,
     }

@@ -6,9 +6,11 @@
 
 use manyview_shaders::row_bits::{DirectionBits, row_mask, row_of_128};
 use manyview_shaders::row_test::{
-    LatticeSegment, NEAR_STEPS, RowPart, RowTestParams, TestFrame, all_within, cut_far_segment, cut_segment,
-    normal_steps, plan_rows, table_cell, whole,
+    LatticeSegment, NEAR_STEPS, RowPart, RowPlan, RowTestParams, TestFrame, all_within, cut_far_segment,
+    cut_segment, normal_steps, plan_rows, table_cell, whole,
 };
+use manyview_shaders::row_view::first_share;
+use manyview_shaders::testable::{MAX_NORMAL, MIN_LENGTH_SQUARED, testable};
 use manyview_shaders::types::{LightPoint, Receiver, Segment};
 
 /// Segments that are tested together.
@@ -108,7 +110,7 @@ impl Origins {
         for (lane, (position, normal)) in points.enumerate().take(LANES) {
             let lattice = params.lattice_from_world(position);
             let is_near = all_within(lattice, NEAR_STEPS);
-            let is_usable = all_within(normal, 2.0);
+            let is_usable = all_within(normal, MAX_NORMAL);
             let normal = if is_usable { normal } else { [0.0; 3] };
             let steps = if is_near { lattice.map(|c| whole(c.floor())) } else { [0; 3] };
             let normal_steps = normal_steps(normal);
@@ -167,7 +169,10 @@ fn ways(params: &RowTestParams, origins: &Origins, target: impl Fn(usize) -> [f3
         }
         ways.share[lane] = segment.share;
         ways.cell[lane] = table_cell(world);
-        valid[lane] = u32::from(segment.is_valid);
+        let [x, y, z] = world;
+        let squared = x * x + y * y + z * z;
+        let is_long = (squared > MIN_LENGTH_SQUARED) & (squared < f32::INFINITY);
+        valid[lane] = u32::from(segment.is_valid & is_long);
         facing[lane] = u32::from(is_in_front(world, normal));
     }
     ways.valid = gathered(&valid);
@@ -308,6 +313,7 @@ fn hit_lanes(view: &View, parts: &Parts, active: u16) -> u16 {
 /// The slow way for an origin far outside the scene: distance in shares of the segment of the first bit, if any.
 fn far_hit(view: &View, segment: &Segment) -> Option<f32> {
     let [origin, target] = [segment.origin, segment.target].map(|p| view.params.lattice_from_world(p));
+    testable(segment)?;
     let cut = cut_far_segment(origin, target);
     let way = [0, 1, 2].map(|i| segment.target[i] - segment.origin[i]);
     if !cut.is_valid {
@@ -316,28 +322,8 @@ fn far_hit(view: &View, segment: &Segment) -> Option<f32> {
     let direction = view.table[table_cell(way) as usize];
     // So far away no surface is the origin's.
     let plan = plan_rows(view.params, &view.frames[usize::from(direction)], &cut, [0; 3]);
-    let bits = view.direction(u32::from(direction));
-    let share = first_share(&bits, &plan.near, &plan.far, plan.origin_w, plan.way_w, view.params.bits)?;
+    let share = first_share(&view.direction(u32::from(direction)), &plan)?;
     Some(cut.cut + cut.share * share)
-}
-
-/// Where along the tested way (0 to 1) its first bit begins.
-#[inline]
-fn first_share(
-    bits: &DirectionBits,
-    near: &RowPart,
-    far: &RowPart,
-    origin_w: i32,
-    way_w: i32,
-    row_bits: u32,
-) -> Option<f32> {
-    let upwards = way_w >= 0;
-    let bit = bits.first(near, upwards).or_else(|| bits.first(far, upwards))?;
-    let shift = manyview_shaders::row_test::TEST_RAW_BITS - row_bits;
-    // The voxel's face on the origin's side.
-    let face = (bit + i32::from(!upwards)) << shift;
-    let share = face.wrapping_sub(origin_w) as f32 / way_w as f32;
-    Some(if way_w == 0 { 0.0 } else { share.clamp(0.0, 1.0) })
 }
 
 /// [`crate::visibility::Visibility::hidden_lights`].
@@ -430,7 +416,7 @@ fn distances_of(view: &View, segments: &[Segment], order: &[u32], mut found: imp
         for lane in lanes(active) {
             let ((bits, near), (_, far)) = (view.part(&plans.near, lane), view.part(&plans.far, lane));
             let (origin_w, way_w) = (plans.origin_w[lane], plans.way_w[lane]);
-            let share = first_share(&bits, &near, &far, origin_w, way_w, view.params.bits);
+            let share = first_share(&bits, &RowPlan { near, far, origin_w, way_w });
             shares[lane] = share.map(|share| share * ways.share[lane]);
         }
         for lane in lanes(origins.far & all) {

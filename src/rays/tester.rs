@@ -1,22 +1,21 @@
 use super::kernel::{self, LANES, SimdLevel, View};
 use super::{Rows, TestSettings};
 use crate::archive::{Archive, LoadError};
+use crate::scene_cpu::CpuScene;
 use crate::visibility::{LightPoint, Receiver, Segment, Visibility, VisibilityError, light_words};
 use manyview_shaders::directions::{DirectionFrame, DirectionSet, RowLattice};
 use manyview_shaders::row_test::{DirectionTable, RowTestParams, TestFrame};
 use rayon::prelude::*;
-use std::ops::Deref;
+use std::sync::Arc;
 
 /// Receivers that one task tests; a multiple of [`LANES`].
 const TASK_RECEIVERS: usize = 16 * LANES;
 /// Segments that one task tests.
 const TASK_SEGMENTS: usize = 1 << 14;
 
-/// The rows of a bake, ready for tests on the CPU.
-///
-/// `R` holds the rows of all directions, layout of `rows.bits` ([`manyview_shaders::sections`]): a vector, or a borrow.
+/// The rows of a bake, ready for tests on the CPU. Clones share the rows.
 #[derive(Debug, Clone)]
-pub struct RowTester<R> {
+pub struct RowTester {
     lattice: RowLattice,
     bits: u32,
     params: RowTestParams,
@@ -24,26 +23,22 @@ pub struct RowTester<R> {
     frames: Vec<TestFrame>,
     table: DirectionTable,
     level: SimdLevel,
-    rows: R,
+    rows: Arc<Vec<u32>>,
 }
 
-impl RowTester<Vec<u32>> {
+impl RowTester {
     /// Loads all rows of a bake.
     pub fn load(archive: &Archive) -> Result<Self, LoadError> {
-        let frames = archive.frames()?;
-        let (Some(info), Some(lattice), Some(set)) =
-            (archive.rows_info(), archive.row_lattice(), archive.direction_set())
-        else {
-            return Err(LoadError::NoRows { archive: archive.name().to_owned() });
-        };
-        let blocks: Result<Vec<Vec<u32>>, LoadError> =
-            (0..archive.row_block_count()).into_par_iter().map(|block| archive.row_block(block)).collect();
-        Ok(Self::new(set, lattice, info.bits, &frames, blocks?.concat()))
+        Ok(Self::of(&CpuScene::load(archive)?))
     }
-}
 
-impl<R: Deref<Target = [u32]> + Sync> RowTester<R> {
-    /// Takes the rows of all directions of `set`, `2^bits` voxels a side.
+    /// Tests against a scene in memory; its rows are shared.
+    pub fn of(scene: &CpuScene) -> Self {
+        let rows = Arc::clone(scene.words());
+        Self::new(scene.direction_set(), scene.row_lattice(), scene.rows_info().bits, scene.frames(), rows)
+    }
+    /// Takes the rows of all directions of `set`, `2^bits` voxels a side, layout of `rows.bits`
+    /// ([`manyview_shaders::sections`]).
     ///
     /// # Panics
     /// If there are fewer frames or rows than directions, or more than 65,536 directions.
@@ -52,7 +47,7 @@ impl<R: Deref<Target = [u32]> + Sync> RowTester<R> {
         lattice: RowLattice,
         bits: u32,
         frames: &[DirectionFrame],
-        rows: R,
+        rows: Arc<Vec<u32>>,
     ) -> Self {
         assert!(frames.len() >= set.count() as usize, "one frame per direction");
         assert!(rows.len() >= (set.count() as usize) << (3 * bits - 5), "rows of every direction");
@@ -107,7 +102,7 @@ impl<R: Deref<Target = [u32]> + Sync> RowTester<R> {
     }
 }
 
-impl<R: Deref<Target = [u32]> + Sync> Visibility for RowTester<R> {
+impl Visibility for RowTester {
     fn name(&self) -> &'static str {
         match (self.settings.rows, self.settings.consensus) {
             (Rows::Single, false) => "rows-fast",

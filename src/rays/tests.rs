@@ -4,6 +4,7 @@ use crate::visibility::{LightPoint, Receiver, Segment, Visibility, light_words};
 use glam::{DVec3, Vec3};
 use manyview_shaders::directions::{DirectionFrame, DirectionSet, Fit, RowLattice};
 use manyview_shaders::row_test::{DirectionTable, TABLE_SIDE, table_cell};
+use std::sync::Arc;
 
 const LATTICE: RowLattice = RowLattice { center: [5.0, -2.0, 0.5], half_extent: [16.0, 4.0, 10.0] };
 const SET: DirectionSet = DirectionSet::LatLong { thetas: 5, phis: 6 };
@@ -33,8 +34,8 @@ fn random_rows(bits: u32, sparsity: u64) -> Vec<u32> {
     rows
 }
 
-fn tester(bits: u32, sparsity: u64) -> RowTester<Vec<u32>> {
-    RowTester::new(SET, LATTICE, bits, &frames(SET), random_rows(bits, sparsity))
+fn tester(bits: u32, sparsity: u64) -> RowTester {
+    RowTester::new(SET, LATTICE, bits, &frames(SET), Arc::new(random_rows(bits, sparsity)))
 }
 
 fn within(random: &mut Random, times: f64) -> DVec3 {
@@ -55,13 +56,13 @@ fn segments(count: usize, times: f64, seed: u64) -> Vec<Segment> {
         .collect()
 }
 
-fn occluded(tester: &RowTester<Vec<u32>>, segments: &[Segment]) -> Vec<u8> {
+fn occluded(tester: &RowTester, segments: &[Segment]) -> Vec<u8> {
     let mut occluded = vec![9; segments.len()];
     tester.occluded(segments, &mut occluded).unwrap();
     occluded
 }
 
-fn distances(tester: &RowTester<Vec<u32>>, segments: &[Segment]) -> Vec<f32> {
+fn distances(tester: &RowTester, segments: &[Segment]) -> Vec<f32> {
     let mut distances = vec![-1.0; segments.len()];
     tester.distances(segments, &mut distances).unwrap();
     distances
@@ -201,7 +202,7 @@ fn lights_and_segments_say_the_same() {
 
 #[test]
 fn what_is_no_segment_hits_nothing() {
-    let full = RowTester::new(SET, LATTICE, 5, &frames(SET), vec![u32::MAX; 30 << 10]);
+    let full = RowTester::new(SET, LATTICE, 5, &frames(SET), Arc::new(vec![u32::MAX; 30 << 10]));
     let center = LATTICE.center.map(|c| c as f32);
     let mut broken = vec![Segment { origin: center, target: center, normal: [0.0; 3] }];
     for bad in [f32::NAN, f32::INFINITY, f32::NEG_INFINITY, f32::MAX] {
@@ -229,7 +230,7 @@ fn what_is_no_segment_hits_nothing() {
 #[test]
 fn segments_from_far_away_reach_the_scene() {
     let set = DirectionSet::LatLong { thetas: 90, phis: 90 };
-    let full = RowTester::new(set, LATTICE, 5, &frames(set), vec![u32::MAX; 8100 << 10])
+    let full = RowTester::new(set, LATTICE, 5, &frames(set), Arc::new(vec![u32::MAX; 8100 << 10]))
         .with_settings(TestSettings::NO_BIAS);
     let center = DVec3::from_array(LATTICE.center);
     let mut random = Random::new(21);
@@ -270,7 +271,7 @@ fn a_floor_does_not_hide_what_is_above_it() {
     let w = |y: f64| matrix[2][1] * (y - LATTICE.center[1]) + offset[2];
     let floor = w(-4.0) as u32;
     rows[vertical << 10..(vertical + 1) << 10].fill(1 << floor);
-    let tester = RowTester::new(SET, LATTICE, bits, &frames, rows);
+    let tester = RowTester::new(SET, LATTICE, bits, &frames, Arc::new(rows));
     let voxel = 1.0 / matrix[2][1].abs();
     let from = |height: f64, normal: DVec3| Segment {
         origin: [5.0, (-4.0 + height * voxel) as f32, 0.5],

@@ -4,8 +4,11 @@
 //! and tables take any of them: a batch of segments ([`Visibility::occluded`], [`Visibility::distances`]), and every
 //! pair of a receiver and a light ([`Visibility::hidden_lights`]).
 
+mod stage;
+
 use manyview_shaders::device::DeviceError;
 pub use manyview_shaders::types::{LightPoint, Receiver, Segment};
+pub use stage::{MethodStages, StageVisibility};
 use thiserror::Error;
 
 /// Why a question was not answered.
