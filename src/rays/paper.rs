@@ -9,8 +9,12 @@
 //! origin along its normal and skips a piece of the row that grows as the ray gets flatter. Both are counted in voxels
 //! of the direction at hand, whose grid may be narrower along one axis than along another.
 
-use glam::{DMat3, DVec3};
+use crate::scene_cpu::CpuScene;
+use crate::visibility::{Segment, Visibility, VisibilityError};
+use glam::{DMat3, DVec3, Vec3};
 use manyview_shaders::directions::{DirectionFrame, DirectionSet, RowLattice};
+use manyview_shaders::testable::testable;
+use rayon::prelude::*;
 
 /// What is asked, in double precision: is anything between two points?
 #[derive(Debug, Clone, Copy, PartialEq)]
@@ -150,6 +154,44 @@ impl Rows<'_> {
         let words = 1usize << (3 * self.bits - 5);
         let rows = &self.rows[nearest * words..(nearest + 1) * words];
         DirectionRows::new(&self.frames[nearest], &self.lattice, self.bits, rows).is_occluded(segment, bias)
+    }
+}
+
+/// The paper's own test as a method, on all threads: slow, and the yardstick for errors.
+#[derive(Debug, Clone)]
+pub struct PaperRows {
+    scene: CpuScene,
+    bias: OriginBias,
+}
+
+impl PaperRows {
+    /// Over the rows of a scene in memory, with the usual bias.
+    pub fn new(scene: &CpuScene) -> Self {
+        Self { scene: scene.clone(), bias: OriginBias::default() }
+    }
+}
+
+impl Visibility for PaperRows {
+    fn name(&self) -> &'static str {
+        "rows-paper"
+    }
+
+    fn occluded(&self, segments: &[Segment], occluded: &mut [u8]) -> Result<(), VisibilityError> {
+        assert_eq!(segments.len(), occluded.len(), "one answer per segment");
+        let rows = self.scene.paper_rows();
+        segments.par_iter().zip(occluded).with_min_len(256).for_each(|(segment, occluded)| {
+            *occluded = testable(segment).map_or(0, |segment| {
+                let [origin, target, normal] =
+                    [segment.origin, segment.target, segment.normal].map(|v| Vec3::from_array(v).as_dvec3());
+                u8::from(rows.is_occluded(&ExactSegment { origin, target, normal }, self.bias))
+            });
+        });
+        Ok(())
+    }
+
+    fn distances(&self, _: &[Segment], _: &mut [f32]) -> Result<(), VisibilityError> {
+        let problem = "says whether something is hit, not where; use `rows`";
+        Err(VisibilityError::Unsupported { method: self.name(), problem })
     }
 }
 
