@@ -31,7 +31,7 @@ fn main() {
         Ok(context) => eprintln!("adapter: {}", context.name()),
         Err(error) => eprintln!("no adapter: {error}"),
     }
-    let checks: [(&str, Check); 12] = [
+    let checks: [(&str, Check); 13] = [
         ("the_device_has_webgpus_default_limits", the_device_has_webgpus_default_limits),
         ("the_texture_holds_the_archives_rows", the_texture_holds_the_archives_rows),
         ("progress_only_grows", progress_only_grows),
@@ -42,6 +42,7 @@ fn main() {
         ("a_thread_refines", a_thread_refines),
         ("corrupt_chunks_are_errors", corrupt_chunks_are_errors),
         ("archives_without_rows_are_errors", archives_without_rows_are_errors),
+        ("memory_that_is_not_there_is_an_error", memory_that_is_not_there_is_an_error),
         ("a_device_destroyed_midway_is_an_error", |_| a_device_destroyed_midway_is_an_error()),
         ("stages_see_the_same_rows_on_both_executors", stages_see_the_same_rows_on_both_executors),
     ];
@@ -397,6 +398,19 @@ fn archives_without_rows_are_errors(context: &GpuContext) -> Result<(), Failed> 
     bake_town(&path, 3, 1, false);
     let result = stream(context, &Archive::open(&path)?, StreamOptions::new(1 << 30));
     ensure(matches!(result, Err(StreamError::Load(LoadError::NoRows { .. }))), || format!("{result:?}"))
+}
+
+fn memory_that_is_not_there_is_an_error(context: &GpuContext) -> Result<(), Failed> {
+    // A small file with 256 GiB of rows.
+    let archive = Archive::from_bytes(support::empty_rows(8, 512, 256))?;
+    let start = Instant::now();
+    let result = begin(context, &archive, StreamOptions::new(u64::MAX));
+    ensure(matches!(result, Err(StreamError::Device(_))), || format!("{result:?}"))?;
+    // The budget is what keeps it to what is there, and the device goes on working.
+    let scene = begin(context, &archive, StreamOptions::new(200 << 20))?;
+    let progress = scene.poll(1)?;
+    ensure(progress.directions_kept == 64 && scene.gpu_bytes() <= 200 << 20, || format!("{progress:?}"))?;
+    ensure(start.elapsed() < Duration::from_secs(60), || format!("{:?}", start.elapsed()))
 }
 
 fn a_device_destroyed_midway_is_an_error() -> Result<(), Failed> {

@@ -203,11 +203,7 @@ impl GpuScene {
         let octree_bytes = octree.iter().sum::<u64>();
 
         let context = GpuContext::from_device(device.clone(), queue.clone());
-        let rows = create_texture(&context, &plan.layout)?;
-        let rows_view = rows.create_view(&wgpu::TextureViewDescriptor {
-            dimension: Some(wgpu::TextureViewDimension::D2Array),
-            ..wgpu::TextureViewDescriptor::default()
-        });
+        let (rows, rows_view) = create_texture(&context, &plan.layout)?;
         let frames: Vec<DirectionFrame> = plan.kept.iter().map(|&d| all_frames[d as usize]).collect();
         let frames_bytes: &[u8] = bytemuck::cast_slice(&frames);
         let frames_buffer = create_buffer(&context, "direction frames", frames_bytes.len() as u64)?;
@@ -534,10 +530,13 @@ fn create_buffer(context: &GpuContext, what: &'static str, bytes: u64) -> Result
     })
 }
 
-fn create_texture(context: &GpuContext, layout: &RowsTexture) -> Result<wgpu::Texture, DeviceError> {
+fn create_texture(
+    context: &GpuContext,
+    layout: &RowsTexture,
+) -> Result<(wgpu::Texture, wgpu::TextureView), DeviceError> {
     let [width, height, depth_or_array_layers] = layout.size();
     context.guarded("the rows texture", layout.bytes(), || {
-        context.device().create_texture(&wgpu::TextureDescriptor {
+        let texture = context.device().create_texture(&wgpu::TextureDescriptor {
             label: Some("rows"),
             size: wgpu::Extent3d { width, height, depth_or_array_layers },
             mip_level_count: 1,
@@ -548,6 +547,11 @@ fn create_texture(context: &GpuContext, layout: &RowsTexture) -> Result<wgpu::Te
                 | wgpu::TextureUsages::COPY_SRC
                 | wgpu::TextureUsages::COPY_DST,
             view_formats: &[],
-        })
+        });
+        let view = texture.create_view(&wgpu::TextureViewDescriptor {
+            dimension: Some(wgpu::TextureViewDimension::D2Array),
+            ..wgpu::TextureViewDescriptor::default()
+        });
+        (texture, view)
     })
 }

@@ -163,3 +163,34 @@ pub(crate) fn corrupt_section(archive: &[u8], kind: &str, item: u32) -> Vec<u8> 
     archive[chunk.end() as usize - 1] ^= 1;
     archive
 }
+
+/// A bake whose rows are all zero: `thetas` × `phis` directions of `2^bits` voxels a side (7 or 8 bits), in one block.
+pub(crate) fn empty_rows(bits: u32, thetas: u32, phis: u32) -> Vec<u8> {
+    let container = Container::from_bytes(bake_directions(5, 2, 2)).unwrap();
+    let mut writer = ArchiveWriter::in_memory().unwrap();
+    let directions = thetas * phis;
+    for section in container.sections() {
+        let mut content = container.read_section(section).unwrap();
+        writer.begin_section(section.id.name.as_str(), section.id.item).unwrap();
+        match section.id.name.as_str() {
+            name::ROWS_INFO => {
+                let mut info: RowsInfo = bytemuck::pod_read_unaligned(&content);
+                (info.bits, info.set_a, info.set_b) = (bits, thetas, phis);
+                (info.directions, info.block_directions) = (directions, directions);
+                content = bytemuck::bytes_of(&info).to_vec();
+            }
+            name::ROWS_FRAMES => content = content[..48].repeat(directions as usize),
+            name::ROWS_BITS => {
+                let direction_bytes = 1 << (3 * bits - 3);
+                let chunk = CompressedChunk::compress_sparse(&vec![0; direction_bytes], 1);
+                for _ in 0..directions {
+                    writer.append(&chunk).unwrap();
+                }
+                continue;
+            }
+            _ => {}
+        }
+        writer.append_raw(&content).unwrap();
+    }
+    writer.finish().unwrap().0
+}
