@@ -301,6 +301,15 @@ fn a_small_budget_keeps_fewer_directions(context: &GpuContext) -> Result<(), Fai
         check_tables(&scene, &archive)?;
         check_nearest(&scene)?;
     }
+    // The same where levels of the octree come after the rows: those that are not kept are answered by the nearest as
+    // soon as the last rows are there.
+    let deep = Archive::from_bytes(support::bake_levels_and_directions(9, 7, 14, 14))?;
+    let options = StreamOptions::new(40 << 20).with_octree_bytes(u64::MAX);
+    let scene = begin(context, &deep, options)?;
+    let progress = poll_until(&scene, |progress| progress.directions_resident == progress.directions_kept)?;
+    ensure(progress.directions_kept == 98 && !progress.is_complete, || format!("{progress:?}"))?;
+    check_tables(&scene, &deep)?;
+    check_nearest(&scene)?;
     for budget in [0, 1, all / 5] {
         match stream(context, &archive, StreamOptions::new(budget)) {
             Err(StreamError::OverBudget { needed_bytes, budget_bytes, .. }) => {

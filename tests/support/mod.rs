@@ -108,13 +108,18 @@ pub(crate) fn expect_exit(code: i32, arguments: &[&str]) -> (String, String) {
 
 /// Bakes a small town whose only purpose is its rows: `thetas` × `phis` directions of `2^bits` voxels a side.
 pub(crate) fn bake_directions(bits: u32, thetas: u32, phis: u32) -> Vec<u8> {
+    bake_levels_and_directions(4, bits, thetas, phis)
+}
+
+/// The same with an octree of so many levels.
+pub(crate) fn bake_levels_and_directions(levels: u32, bits: u32, thetas: u32, phis: u32) -> Vec<u8> {
     let rows = RowsOptions {
         bits,
         directions: DirectionSet::LatLong { thetas, phis },
         fit: Fit::Extent,
         from: RowsFrom::Points,
     };
-    let options = BakeOptions { levels: 4, rows: Some(rows), ..BakeOptions::default() };
+    let options = BakeOptions { levels, rows: Some(rows), ..BakeOptions::default() };
     let mut writer = ArchiveWriter::in_memory().unwrap();
     bake(&generate(SceneKind::Town, 2_000, 1), &options, None, &mut writer, &Silent).unwrap();
     writer.finish().unwrap().0
