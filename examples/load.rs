@@ -117,5 +117,9 @@ fn main() -> Result<(), Box<dyn Error>> {
         println!("usable after {:.1}% of the time", 100.0 * usable.0 / complete.0);
         println!("GPU memory: {:.1} MiB", gpu_bytes as f64 / MIB);
     }
+    if let Some(peak) = peak_memory() {
+        // On a software adapter the GPU's memory is this process's.
+        println!("peak memory of all: {peak:.1} MiB");
+    }
     Ok(())
 }

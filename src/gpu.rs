@@ -14,6 +14,7 @@ mod context;
 mod executor;
 mod pipelines;
 mod plan;
+mod refine;
 mod resident;
 pub mod scene;
 mod stream;

@@ -31,7 +31,7 @@ fn main() {
         Ok(context) => eprintln!("adapter: {}", context.name()),
         Err(error) => eprintln!("no adapter: {error}"),
     }
-    let checks: [(&str, Check); 12] = [
+    let checks: [(&str, Check); 13] = [
         ("the_device_has_webgpus_default_limits", the_device_has_webgpus_default_limits),
         ("the_texture_holds_the_archives_rows", the_texture_holds_the_archives_rows),
         ("progress_only_grows", progress_only_grows),
@@ -42,6 +42,7 @@ fn main() {
         ("a_thread_refines", a_thread_refines),
         ("corrupt_chunks_are_errors", corrupt_chunks_are_errors),
         ("archives_without_rows_are_errors", archives_without_rows_are_errors),
+        ("memory_that_is_not_there_is_an_error", memory_that_is_not_there_is_an_error),
         ("a_device_destroyed_midway_is_an_error", |_| a_device_destroyed_midway_is_an_error()),
         ("stages_see_the_same_rows_on_both_executors", stages_see_the_same_rows_on_both_executors),
     ];
@@ -300,6 +301,15 @@ fn a_small_budget_keeps_fewer_directions(context: &GpuContext) -> Result<(), Fai
         check_tables(&scene, &archive)?;
         check_nearest(&scene)?;
     }
+    // The same where levels of the octree come after the rows: those that are not kept are answered by the nearest as
+    // soon as the last rows are there.
+    let deep = Archive::from_bytes(support::bake_levels_and_directions(9, 7, 14, 14))?;
+    let options = StreamOptions::new(40 << 20).with_octree_bytes(u64::MAX);
+    let scene = begin(context, &deep, options)?;
+    let progress = poll_until(&scene, |progress| progress.directions_resident == progress.directions_kept)?;
+    ensure(progress.directions_kept == 98 && !progress.is_complete, || format!("{progress:?}"))?;
+    check_tables(&scene, &deep)?;
+    check_nearest(&scene)?;
     for budget in [0, 1, all / 5] {
         match stream(context, &archive, StreamOptions::new(budget)) {
             Err(StreamError::OverBudget { needed_bytes, budget_bytes, .. }) => {
@@ -397,6 +407,19 @@ fn archives_without_rows_are_errors(context: &GpuContext) -> Result<(), Failed> 
     bake_town(&path, 3, 1, false);
     let result = stream(context, &Archive::open(&path)?, StreamOptions::new(1 << 30));
     ensure(matches!(result, Err(StreamError::Load(LoadError::NoRows { .. }))), || format!("{result:?}"))
+}
+
+fn memory_that_is_not_there_is_an_error(context: &GpuContext) -> Result<(), Failed> {
+    // A small file with 256 GiB of rows.
+    let archive = Archive::from_bytes(support::empty_rows(8, 512, 256))?;
+    let start = Instant::now();
+    let result = begin(context, &archive, StreamOptions::new(u64::MAX));
+    ensure(matches!(result, Err(StreamError::Device(_))), || format!("{result:?}"))?;
+    // The budget is what keeps it to what is there, and the device goes on working.
+    let scene = begin(context, &archive, StreamOptions::new(200 << 20))?;
+    let progress = scene.poll(1)?;
+    ensure(progress.directions_kept == 64 && scene.gpu_bytes() <= 200 << 20, || format!("{progress:?}"))?;
+    ensure(start.elapsed() < Duration::from_secs(60), || format!("{:?}", start.elapsed()))
 }
 
 fn a_device_destroyed_midway_is_an_error() -> Result<(), Failed> {

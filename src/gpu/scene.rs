@@ -18,8 +18,8 @@
 
 use std::collections::VecDeque;
 use std::fmt;
-use std::sync::atomic::{AtomicBool, Ordering};
-use std::sync::{Mutex, MutexGuard, PoisonError, RwLock};
+use std::sync::atomic::AtomicBool;
+use std::sync::{Mutex, PoisonError, RwLock};
 
 use manyview_shaders::device::DeviceError;
 use manyview_shaders::directions::{DirectionFrame, DirectionSet, RowLattice};
@@ -131,25 +131,25 @@ pub enum StreamError {
 /// # Ok::<(), Box<dyn std::error::Error>>(())
 /// ```
 pub struct GpuScene {
-    context: GpuContext,
-    archive: Archive,
-    info: RowsInfo,
-    directions: DirectionSet,
-    kept: Vec<u32>,
-    tile_of: Vec<Option<u32>>,
-    layout: RowsTexture,
-    frames: Vec<DirectionFrame>,
-    rows: wgpu::Texture,
-    rows_view: wgpu::TextureView,
-    frames_buffer: wgpu::Buffer,
-    tile_table: wgpu::Buffer,
-    resident: RwLock<Resident>,
-    octree: RwLock<Vec<wgpu::Buffer>>,
-    octree_levels_kept: u32,
-    bytes_total: u64,
-    gpu_bytes: u64,
-    refinement: Mutex<Refinement>,
-    cancelled: AtomicBool,
+    pub(super) context: GpuContext,
+    pub(super) archive: Archive,
+    pub(super) info: RowsInfo,
+    pub(super) directions: DirectionSet,
+    pub(super) kept: Vec<u32>,
+    pub(super) tile_of: Vec<Option<u32>>,
+    pub(super) layout: RowsTexture,
+    pub(super) frames: Vec<DirectionFrame>,
+    pub(super) rows: wgpu::Texture,
+    pub(super) rows_view: wgpu::TextureView,
+    pub(super) frames_buffer: wgpu::Buffer,
+    pub(super) tile_table: wgpu::Buffer,
+    pub(super) resident: RwLock<Resident>,
+    pub(super) octree: RwLock<Vec<wgpu::Buffer>>,
+    pub(super) octree_levels_kept: u32,
+    pub(super) bytes_total: u64,
+    pub(super) gpu_bytes: u64,
+    pub(super) refinement: Mutex<Refinement>,
+    pub(super) cancelled: AtomicBool,
 }
 
 impl fmt::Debug for GpuScene {
@@ -176,7 +176,8 @@ impl GpuScene {
         Ok(scene)
     }
 
-    /// Allocates the scene, and uploads nothing but the frames. Never waits.
+    /// Allocates the scene, and uploads nothing but the frames. Never waits. [`poll`](Self::poll) and its kin do the
+    /// rest, so that the coarse part too can be cancelled, and be left to a thread.
     pub fn begin(
         device: &wgpu::Device,
         queue: &wgpu::Queue,
@@ -203,11 +204,7 @@ impl GpuScene {
         let octree_bytes = octree.iter().sum::<u64>();
 
         let context = GpuContext::from_device(device.clone(), queue.clone());
-        let rows = create_texture(&context, &plan.layout)?;
-        let rows_view = rows.create_view(&wgpu::TextureViewDescriptor {
-            dimension: Some(wgpu::TextureViewDimension::D2Array),
-            ..wgpu::TextureViewDescriptor::default()
-        });
+        let (rows, rows_view) = create_texture(&context, &plan.layout)?;
         let frames: Vec<DirectionFrame> = plan.kept.iter().map(|&d| all_frames[d as usize]).collect();
         let frames_bytes: &[u8] = bytemuck::cast_slice(&frames);
         let frames_buffer = create_buffer(&context, "direction frames", frames_bytes.len() as u64)?;
@@ -253,50 +250,6 @@ impl GpuScene {
             cancelled: AtomicBool::new(false),
             context,
         })
-    }
-
-    /// Goes on for about `max_bytes`, at least one piece, unless too much is under way to the GPU already. Decodes on the
-    /// threads of the current rayon pool, and never waits for the GPU. After an error of the archive what has arrived
-    /// stays usable, and the next call tries again.
-    pub fn poll(&self, max_bytes: u64) -> Result<Progress, StreamError> {
-        self.go_on(&mut self.lock(), max_bytes)
-    }
-
-    /// Goes on until all has arrived on the GPU. Waits.
-    pub fn finish(&self) -> Result<Progress, StreamError> {
-        self.drive(|progress| progress.is_complete)?;
-        self.wait()?;
-        Ok(self.progress())
-    }
-
-    /// Waits until what was uploaded so far has arrived on the GPU, or for the reason why it has not.
-    pub fn wait(&self) -> Result<(), StreamError> {
-        loop {
-            let pending = {
-                let refinement = &mut *self.lock();
-                let collected = self.context.pump().and_then(|()| refinement.ring.collect(&self.context));
-                if let Err(error) = collected {
-                    refinement.failure.get_or_insert(error.to_string());
-                    return Err(error.into());
-                }
-                refinement.ring.pending()
-            };
-            match pending {
-                Some(submission) => self.context.wait(&submission)?,
-                None => return Ok(()),
-            }
-        }
-    }
-
-    /// Ends streaming: [`poll`](Self::poll) and [`finish`](Self::finish), also those under way on other threads, return
-    /// [`StreamError::Cancelled`]. The scene stays as it is.
-    pub fn cancel(&self) {
-        self.cancelled.store(true, Ordering::Relaxed);
-    }
-
-    /// How far streaming is. Waits while another thread is in [`poll`](Self::poll).
-    pub fn progress(&self) -> Progress {
-        self.progress_of(&self.lock())
     }
 
     /// The direction that answers for `direction`: itself once it is resident, else one near it. Before the coarse part
@@ -386,125 +339,6 @@ impl GpuScene {
     pub fn gpu_bytes(&self) -> u64 {
         self.gpu_bytes
     }
-
-    fn lock(&self) -> MutexGuard<'_, Refinement> {
-        self.refinement.lock().unwrap_or_else(PoisonError::into_inner)
-    }
-
-    /// Polls until `reached`, waiting for the GPU where nothing else is to be done.
-    fn drive(&self, reached: impl Fn(&Progress) -> bool) -> Result<(), StreamError> {
-        loop {
-            let (progress, pending) = {
-                let mut refinement = self.lock();
-                let progress = self.go_on(&mut refinement, u64::MAX)?;
-                let is_full = refinement.ring.collect(&self.context)? == 0;
-                (progress, refinement.ring.pending().filter(|_| is_full))
-            };
-            if reached(&progress) {
-                return Ok(());
-            }
-            if let Some(submission) = pending {
-                self.context.wait(&submission)?;
-            }
-        }
-    }
-
-    fn go_on(&self, refinement: &mut Refinement, max_bytes: u64) -> Result<Progress, StreamError> {
-        if self.cancelled.load(Ordering::Relaxed) {
-            return Err(StreamError::Cancelled);
-        }
-        let result = self.try_go_on(refinement, max_bytes);
-        if let Err(StreamError::Device(error)) = &result {
-            // What was under way is lost, so that nobody may take the scene for complete.
-            refinement.failure.get_or_insert(error.to_string());
-        }
-        result
-    }
-
-    fn try_go_on(&self, refinement: &mut Refinement, max_bytes: u64) -> Result<Progress, StreamError> {
-        if let Some(failure) = &refinement.failure {
-            return Err(DeviceError::Failed(format!("streaming ended earlier: {failure}")).into());
-        }
-        self.context.pump()?;
-        let free = refinement.ring.collect(&self.context)?;
-        let threads = rayon::current_num_threads().max(1);
-        let unit_bytes = refinement.decoded.front().map_or(1, |decoded| decoded.rows.len() as u64 * 4).max(1);
-        let most =
-            usize::try_from(max_bytes / unit_bytes).unwrap_or(usize::MAX).max(1).min(free).min(threads);
-        if refinement.decoded.is_empty()
-            && free > 0
-            && let Some(&Step::Octree(level)) = refinement.steps.front()
-        {
-            self.load_octree_level(refinement, level)?;
-            return Ok(self.progress_of(refinement));
-        }
-        // While rows are uploaded on this thread, the next ones are decoded on the others.
-        let uploads = refinement.decoded.len().min(most);
-        let wave =
-            if refinement.decoded.len() == uploads { refinement.take_units(threads) } else { Vec::new() };
-        let words = self.layout.words_a_direction();
-        let (uploaded, decoded) =
-            refinement.decode(&self.archive, words, wave, |refinement| self.upload(refinement, uploads));
-        uploaded?;
-        decoded?;
-        Ok(self.progress_of(refinement))
-    }
-
-    fn load_octree_level(&self, refinement: &mut Refinement, level: u32) -> Result<(), StreamError> {
-        let nodes = SvoNode::of_level(&self.archive.svo_level_alone(level)?);
-        refinement.bytes_done += size_of_val(&nodes[..]) as u64;
-        let buffer = refinement.upload_octree_level(&self.context, nodes)?;
-        refinement.steps.pop_front();
-        self.octree.write().unwrap_or_else(PoisonError::into_inner).push(buffer);
-        Ok(())
-    }
-
-    fn upload(&self, refinement: &mut Refinement, units: usize) -> Result<(), DeviceError> {
-        for _ in 0..units {
-            let Some(decoded) = refinement.decoded.pop_front() else { break };
-            let unit = decoded.unit.clone();
-            refinement.upload_rows(&self.context, &self.rows, &self.layout, &self.kept, decoded)?;
-            refinement.units_done += 1;
-            refinement.bytes_done += unit.kept.len() as u64 * self.info.direction_bytes() as u64;
-            let mut resident = self.resident.write().unwrap_or_else(PoisonError::into_inner);
-            for &direction in &self.kept[unit.kept.clone()] {
-                resident.insert(direction);
-            }
-            let mut changed = unit.directions;
-            if refinement.units_done >= refinement.next_refresh {
-                resident.refresh();
-                refinement.next_refresh = refinement.units_done * 2;
-                changed = 0..self.directions.count();
-            } else if refinement.is_done() {
-                resident.refresh();
-                changed = 0..self.directions.count();
-            }
-            let tile = |direction: &u32| self.tile_of(*direction).unwrap_or(0);
-            let tiles: Vec<u32> =
-                resident.nearest()[changed.start as usize..changed.end as usize].iter().map(tile).collect();
-            drop(resident);
-            self.context.guarded("the tile table", tiles.len() as u64 * 4, || {
-                let offset = u64::from(changed.start) * 4;
-                self.context.queue().write_buffer(&self.tile_table, offset, bytemuck::cast_slice(&tiles));
-                self.context.queue().submit([]);
-            })?;
-        }
-        Ok(())
-    }
-
-    fn progress_of(&self, refinement: &Refinement) -> Progress {
-        let resident = self.resident.read().unwrap_or_else(PoisonError::into_inner).count();
-        Progress {
-            bytes_done: refinement.bytes_done,
-            bytes_total: self.bytes_total,
-            directions_resident: resident as u32,
-            directions_kept: self.kept.len() as u32,
-            octree_levels: self.octree.read().unwrap_or_else(PoisonError::into_inner).len() as u32,
-            octree_levels_kept: self.octree_levels_kept,
-            is_usable: refinement.units_done >= refinement.coarse_units,
-            is_complete: refinement.is_done(),
-        }
-    }
 }
 
 /// Bytes of each level of the octree that is kept, root first: as many as fit, each in one binding.
@@ -534,10 +368,13 @@ fn create_buffer(context: &GpuContext, what: &'static str, bytes: u64) -> Result
     })
 }
 
-fn create_texture(context: &GpuContext, layout: &RowsTexture) -> Result<wgpu::Texture, DeviceError> {
+fn create_texture(
+    context: &GpuContext,
+    layout: &RowsTexture,
+) -> Result<(wgpu::Texture, wgpu::TextureView), DeviceError> {
     let [width, height, depth_or_array_layers] = layout.size();
     context.guarded("the rows texture", layout.bytes(), || {
-        context.device().create_texture(&wgpu::TextureDescriptor {
+        let texture = context.device().create_texture(&wgpu::TextureDescriptor {
             label: Some("rows"),
             size: wgpu::Extent3d { width, height, depth_or_array_layers },
             mip_level_count: 1,
@@ -548,6 +385,11 @@ fn create_texture(context: &GpuContext, layout: &RowsTexture) -> Result<wgpu::Te
                 | wgpu::TextureUsages::COPY_SRC
                 | wgpu::TextureUsages::COPY_DST,
             view_formats: &[],
-        })
+        });
+        let view = texture.create_view(&wgpu::TextureViewDescriptor {
+            dimension: Some(wgpu::TextureViewDimension::D2Array),
+            ..wgpu::TextureViewDescriptor::default()
+        });
+        (texture, view)
     })
 }

@@ -46,6 +46,8 @@ pub(super) struct Refinement {
     pub(super) units_done: usize,
     /// Units of rows until the scene is usable.
     pub(super) coarse_units: usize,
+    /// Units of rows in all.
+    pub(super) all_units: usize,
     /// At so many units the nearest directions are found again.
     pub(super) next_refresh: usize,
     pub(super) bytes_done: u64,
@@ -55,7 +57,9 @@ pub(super) struct Refinement {
 
 impl Refinement {
     pub(super) fn new(steps: VecDeque<Step>, coarse_units: usize, ring: Ring) -> Self {
+        let all_units = steps.iter().filter(|step| matches!(step, Step::Rows(_))).count();
         Self {
+            all_units,
             steps,
             decoded: VecDeque::new(),
             spare: Vec::new(),

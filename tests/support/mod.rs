@@ -108,13 +108,18 @@ pub(crate) fn expect_exit(code: i32, arguments: &[&str]) -> (String, String) {
 
 /// Bakes a small town whose only purpose is its rows: `thetas` × `phis` directions of `2^bits` voxels a side.
 pub(crate) fn bake_directions(bits: u32, thetas: u32, phis: u32) -> Vec<u8> {
+    bake_levels_and_directions(4, bits, thetas, phis)
+}
+
+/// The same with an octree of so many levels.
+pub(crate) fn bake_levels_and_directions(levels: u32, bits: u32, thetas: u32, phis: u32) -> Vec<u8> {
     let rows = RowsOptions {
         bits,
         directions: DirectionSet::LatLong { thetas, phis },
         fit: Fit::Extent,
         from: RowsFrom::Points,
     };
-    let options = BakeOptions { levels: 4, rows: Some(rows), ..BakeOptions::default() };
+    let options = BakeOptions { levels, rows: Some(rows), ..BakeOptions::default() };
     let mut writer = ArchiveWriter::in_memory().unwrap();
     bake(&generate(SceneKind::Town, 2_000, 1), &options, None, &mut writer, &Silent).unwrap();
     writer.finish().unwrap().0
@@ -162,4 +167,35 @@ pub(crate) fn corrupt_section(archive: &[u8], kind: &str, item: u32) -> Vec<u8> 
     let mut archive = archive.to_vec();
     archive[chunk.end() as usize - 1] ^= 1;
     archive
+}
+
+/// A bake whose rows are all zero: `thetas` × `phis` directions of `2^bits` voxels a side (7 or 8 bits), in one block.
+pub(crate) fn empty_rows(bits: u32, thetas: u32, phis: u32) -> Vec<u8> {
+    let container = Container::from_bytes(bake_directions(5, 2, 2)).unwrap();
+    let mut writer = ArchiveWriter::in_memory().unwrap();
+    let directions = thetas * phis;
+    for section in container.sections() {
+        let mut content = container.read_section(section).unwrap();
+        writer.begin_section(section.id.name.as_str(), section.id.item).unwrap();
+        match section.id.name.as_str() {
+            name::ROWS_INFO => {
+                let mut info: RowsInfo = bytemuck::pod_read_unaligned(&content);
+                (info.bits, info.set_a, info.set_b) = (bits, thetas, phis);
+                (info.directions, info.block_directions) = (directions, directions);
+                content = bytemuck::bytes_of(&info).to_vec();
+            }
+            name::ROWS_FRAMES => content = content[..48].repeat(directions as usize),
+            name::ROWS_BITS => {
+                let direction_bytes = 1 << (3 * bits - 3);
+                let chunk = CompressedChunk::compress_sparse(&vec![0; direction_bytes], 1);
+                for _ in 0..directions {
+                    writer.append(&chunk).unwrap();
+                }
+                continue;
+            }
+            _ => {}
+        }
+        writer.append_raw(&content).unwrap();
+    }
+    writer.finish().unwrap().0
 }
