@@ -5,7 +5,7 @@ use crate::device::PackedFragment;
 use crate::directions::DirectionFrame;
 use crate::masks::{AlphaPlane, TexelMap, TriangleMask, UNMASKED, WrapCode, wrap_texel};
 use crate::raster::{Grid, VoxelBox};
-use crate::row_test::{RowTestParams, TestFrame};
+use crate::row_test::{PackedFrame, RowTestParams};
 use crate::testable::{is_behind, testable};
 use bytemuck::{Pod, Zeroable};
 use std::mem::offset_of;
@@ -367,8 +367,10 @@ macro_rules! gpu_structs {
 }
 
 gpu_structs! {
-    RowTestParams { center, bits, steps_per_metre, normal_quarter, skip, split, consensus, zero }
-    TestFrame { raw_from_lattice, offset, voxel_from_world_normal, corner }
+    RowTestParams {
+        center, bits, steps_per_metre, normal_quarter, normal_steps, skip, split, consensus, zero, reserved,
+    }
+    PackedFrame { words }
     RasterParams {
         clip_min, grid_bits, clip_max, sub_bits, bit_stride, direction_stride, triangles, directions, capacity, reserved,
     }
