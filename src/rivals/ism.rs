@@ -223,8 +223,7 @@ impl Map {
     /// Draws a square that covers a disc of `radius` metres at `offset` from the middle.
     fn splat(&mut self, offset: Vec3, radius: f32) {
         let distance = offset.length();
-        // Also false for NaN.
-        if !(distance > 0.0) {
+        if distance == 0.0 || !distance.is_finite() {
             return;
         }
         let (half, a, b) = paraboloid(offset / distance);
