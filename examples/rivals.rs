@@ -207,8 +207,8 @@ fn main() -> Result<()> {
         for resolution in [64, 128] {
             for pull_levels in [0, 2] {
                 for steepest in [3.0, 6.0] {
-                    for splat_scale in [0.7, 1.0] {
-                        for bias_texels in [0.5, 1.0, 1.5, 2.0] {
+                    for splat_scale in [0.8, 1.2] {
+                        for bias_texels in [0.5, 0.75, 1.5] {
                             let default = IsmOptions::default();
                             let ism = IsmOptions {
                                 resolution,

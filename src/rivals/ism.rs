@@ -52,7 +52,7 @@ pub struct IsmOptions {
 }
 
 impl Default for IsmOptions {
-    /// As many points as the paper takes, and texels about as many. The rest errs least over a town and the Sponza:
+    /// As many points as the paper takes, and texels about as many. The rest errs least over a town, a city and the Sponza:
     /// `examples/rivals.rs --ism` measures it.
     fn default() -> Self {
         Self {
@@ -60,8 +60,8 @@ impl Default for IsmOptions {
             resolution: 64,
             pull_levels: 2,
             steepest: 6.0,
-            splat_scale: 1.0,
-            bias_texels: 1.5,
+            splat_scale: 0.8,
+            bias_texels: 0.75,
             seed: 1,
         }
     }

@@ -56,9 +56,10 @@ fn main() {
     ];
     let mut trials: Vec<Trial> = checks.into_iter().map(|(name, check)| Trial::test(name, check)).collect();
     type GpuCheck = fn(&'static GpuContext) -> Result<(), Failed>;
-    let gpu_checks: [(&str, GpuCheck); 2] = [
+    let gpu_checks: [(&str, GpuCheck); 3] = [
         ("shaders_equal_their_twins", shaders_equal_their_twins),
         ("shaders_have_known_answers_too", shaders_have_known_answers_too),
+        ("long_rays_are_tested_again", long_rays_are_tested_again),
     ];
     trials.extend(gpu_checks.map(|(name, check)| {
         let reason = reason.clone();

@@ -94,7 +94,7 @@ pub(crate) fn imperfect_shadow_maps_are_not_far_off() -> Result<(), Failed> {
         Ok(share(&hidden.iter().zip(&exact).map(|(a, b)| a ^ b).collect::<Vec<_>>()))
     };
     let default = error(IsmOptions::default())?;
-    ensure!(default < 0.06, "eps_v is {default}");
+    ensure!(default < 0.15, "eps_v is {default}");
     let coarse = error(IsmOptions { points_per_light: 200, resolution: 8, ..IsmOptions::default() })?;
     ensure!(coarse > default, "few points and texels err more: {coarse} and {default}");
 

@@ -3,11 +3,12 @@
 use crate::answers::*;
 use crate::place::*;
 use libtest_mimic::Failed;
-use manyview::gpu::GpuContext;
-use manyview::rivals::brickmap::{self};
+use manyview::gpu::{GpuContext, WgpuExecutor};
+use manyview::rivals::brickmap::{self, Brickmap, BrickmapBias};
 use manyview::rivals::wide_bvh::WideBvh;
 use manyview::visibility::{LightPoint, Receiver, Visibility, VisibilityError, light_words};
 use manyview_pipeline::generate::{SceneKind, generate};
+use manyview_shaders::executor::ExecutorLimits;
 
 pub(crate) fn shaders_have_known_answers_too(context: &'static GpuContext) -> Result<(), Failed> {
     let place = plane()?;
@@ -72,5 +73,36 @@ pub(crate) fn shaders_equal_their_twins(context: &'static GpuContext) -> Result<
             }
         }
     }
+    Ok(())
+}
+
+pub(crate) fn long_rays_are_tested_again(context: &'static GpuContext) -> Result<(), Failed> {
+    // A diagonal of cells, a ray beside it that takes thousands of steps, and a cell at its end: 32 such rays are more
+    // than some drivers let an invocation do.
+    let mut cells: Vec<[u16; 3]> = (0..2047).flat_map(|x| [[x, x, 8], [x + 1, x, 8]]).collect();
+    cells.push([2040, 2040, 9]);
+    let code = |cell: &[u16; 3]| {
+        (0..12).fold(0u64, |code, bit| {
+            code | (0..3).map(|i| u64::from(cell[i] >> bit & 1) << (3 * bit + i)).sum::<u64>()
+        })
+    };
+    cells.sort_by_key(code);
+    let map = Brickmap::new([0.0; 3], 2048.0, 11, &cells, BrickmapBias::NONE);
+    let gpu = brickmap::on_executor(&map, Box::new(WgpuExecutor::new(context, ExecutorLimits::DEFAULT)))?;
+    let receivers: Vec<Receiver> = (0..64)
+        .map(|i| Receiver { position: [0.5, 0.25 + i as f32 / 256.0, 9.5], normal: [0.0; 3] })
+        .collect();
+    let lights = [LightPoint::at([2046.5, 2046.5, 9.5]); 40];
+    let steps = {
+        let mut steps = u32::MAX;
+        let hit = map.view().march(&lights[0].segment_from(&receivers[0]), &mut steps);
+        ensure!(hit.is_some(), "the cell at the end is found");
+        u32::MAX - steps
+    };
+    ensure!(32 * steps > 65_535, "{steps} steps are not many");
+    let mut hidden = vec![0; 128];
+    gpu.hidden_lights(&receivers, &lights, &mut hidden)?;
+    let all = hidden.chunks(2).all(|words| words == [u32::MAX, 255]);
+    ensure!(all, "some of {steps} steps were left out: {hidden:x?}");
     Ok(())
 }
