@@ -1,7 +1,7 @@
 //! Throughput and error of the rivals on a scene: receivers from a camera's primary rays, random lights in the bounds.
 //!
 //! `cargo run --release --example rivals -- SCENE ARCHIVE [--size 256x144] [--lights 1024] [--level L]… [--gpu-share N]
-//! [--builds] [--bias]`
+//! [--builds] [--bias] [--ism]`
 //!
 //! SCENE is a glTF file or KIND:TRIANGLES, ARCHIVE its bake. Errors are against exact rays.
 
@@ -33,6 +33,7 @@ struct Options {
     gpu_share: usize,
     builds: bool,
     bias: bool,
+    ism: bool,
 }
 
 fn options() -> Result<Options> {
@@ -46,6 +47,7 @@ fn options() -> Result<Options> {
         gpu_share: 8,
         builds: false,
         bias: false,
+        ism: false,
     };
     let mut arguments = std::env::args().skip(1);
     while let Some(argument) = arguments.next() {
@@ -61,6 +63,7 @@ fn options() -> Result<Options> {
             "--gpu-share" => options.gpu_share = value()?.parse()?,
             "--builds" => options.builds = true,
             "--bias" => options.bias = true,
+            "--ism" => options.ism = true,
             _ => names.push(argument),
         }
     }
@@ -129,7 +132,7 @@ impl Bench<'_> {
         let (seconds, busy) = (start.elapsed().as_secs_f64(), processor_seconds() - busy);
         let rays = receivers.len() * self.lights.len();
         let rate = rays as f64 / seconds / 1e6;
-        let (mut wrong, mut set, mut net) = (0u64, 0u64, 0u64);
+        let (mut wrong, mut too_many, mut set, mut net) = (0u64, 0u64, 0u64, 0u64);
         for (&i, found) in chosen.iter().zip(hidden.chunks(words)) {
             let exact = &self.exact[i * words..(i + 1) * words];
             let (mut more, mut less) = (0u32, 0u32);
@@ -139,12 +142,14 @@ impl Bench<'_> {
                 set += u64::from(a.count_ones());
             }
             wrong += u64::from(more + less);
+            too_many += u64::from(more);
             net += u64::from(more.abs_diff(less));
         }
         println!(
-            "{label:<36} {rate:>9.3} Mray/s {:>9.3} Mray per processor second  eps_v {:>6.3} %  eps_s {:>6.3} %  ({:.1} % hidden, {:.1} s)",
+            "{label:<36} {rate:>9.3} Mray/s {:>9.3} Mray per processor second  eps_v {:>6.3} % (hides {:.3} % too many)  eps_s {:>6.3} %  ({:.1} % hidden, {:.1} s)",
             rays as f64 / busy / 1e6,
             100.0 * wrong as f64 / rays as f64,
+            100.0 * too_many as f64 / rays as f64,
             100.0 * net as f64 / rays as f64,
             100.0 * set as f64 / rays as f64,
             seconds
@@ -191,11 +196,38 @@ fn main() -> Result<()> {
             ("medium", BvhBuildParams::medium_build()),
             ("slow", BvhBuildParams::slow_build()),
             ("very slow", BvhBuildParams::very_slow_build()),
+            ("very slow, whole", BvhBuildParams { pre_split: false, ..BvhBuildParams::very_slow_build() }),
         ] {
             let start = Instant::now();
             let method = BvhVisibility::with_build(&reference, build);
             let seconds = start.elapsed().as_secs_f64();
             bench.run(&format!("bvh, {name} build ({seconds:.1} s)"), &method, 1)?;
+        }
+        return Ok(());
+    }
+    if options.ism {
+        for resolution in [64, 128] {
+            for pull_levels in [0, 2] {
+                for steepest in [3.0, 6.0] {
+                    for splat_scale in [0.8, 1.2] {
+                        for bias_texels in [0.5, 0.75, 1.5] {
+                            let default = IsmOptions::default();
+                            let ism = IsmOptions {
+                                resolution,
+                                pull_levels,
+                                steepest,
+                                splat_scale,
+                                bias_texels,
+                                ..default
+                            };
+                            let label = format!(
+                                "{resolution} texels, {pull_levels} levels {steepest}, splat {splat_scale}, bias {bias_texels}"
+                            );
+                            bench.run(&label, &IsmVisibility::new(&reference, ism), 4)?;
+                        }
+                    }
+                }
+            }
         }
         return Ok(());
     }

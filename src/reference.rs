@@ -117,7 +117,7 @@ impl<'a> Reference<'a> {
             let Some(hit) = nearer else { return f32::INFINITY };
             closest = Some(hit);
             // Rounded away from the origin, so that an equally near triangle is still looked at.
-            (hit.t as f32).next_up()
+            (hit.t as f32).next_up() * TREE_LENGTHS
         });
         closest
     }
@@ -126,8 +126,7 @@ impl<'a> Reference<'a> {
         let usable = direction.is_finite() && origin.is_finite() && direction.length_squared() > 0.0;
         let nearby = Vec3A::from((origin - self.center).as_vec3());
         let direction = Vec3A::from(direction.as_vec3());
-        (usable && !self.triangles.is_empty())
-            .then(|| Ray::new(nearby, direction, 0.0, (t_max as f32).next_up()))
+        (usable && !self.triangles.is_empty()).then(|| tree_ray(nearby, direction, (t_max as f32).next_up()))
     }
 
     fn mask(&self, triangle: u32) -> Option<&TriangleMask> {
@@ -139,6 +138,19 @@ impl<'a> Reference<'a> {
         let (t, barycentric) = intersect_triangle(&self.triangles[triangle as usize], origin, direction)?;
         (t > 0.0 && self.exists(triangle, barycentric)).then_some(Hit { t, triangle, barycentric })
     }
+}
+
+/// In how many times the given lengths [`tree_ray`] counts.
+pub(crate) const TREE_LENGTHS: f32 = (1 << 20) as f32;
+
+/// A ray through a tree of `obvhs`, whose distances are [`TREE_LENGTHS`] for each length of `direction`: the tree's boxes
+/// are not met nearer than 10⁻⁴, which would leave out what is small and close to the origin. For the same reason the
+/// inverse is exact where `obvhs` would round it to that of 10⁻⁷.
+pub(crate) fn tree_ray(origin: Vec3A, direction: Vec3A, t_max: f32) -> Ray {
+    let direction = direction / TREE_LENGTHS;
+    let inverse = |c: f32| 1.0 / if c < 0.0 { c.min(-1e-30) } else { c.max(1e-30) };
+    let inv_direction = Vec3A::new(inverse(direction.x), inverse(direction.y), inverse(direction.z));
+    Ray { origin, direction, inv_direction, tmin: 0.0, tmax: t_max * TREE_LENGTHS }
 }
 
 /// Twice a triangle's area along its normal.
@@ -244,6 +256,25 @@ mod tests {
         assert!(reference.is_occluded(from, DVec3::new(1.5, 0.5, -1e-6)));
         assert!(!reference.is_occluded(from, from), "a segment of no length");
         assert!(!reference.is_occluded(from, DVec3::NAN));
+    }
+
+    #[test]
+    fn what_is_close_to_a_long_ray_s_origin_is_found() {
+        // A square of 2 mm, 3 mm from the origin, and a target 900 m away; another makes the scene large.
+        let mut scene = half_a_square();
+        scene.materials.clear();
+        let small =
+            DMat4::from_translation(DVec3::new(-1e-3, -1e-3, 3e-3)) * DMat4::from_scale(DVec3::splat(2e-3));
+        scene.instances = vec![
+            Instance { mesh: 0, world_from_object: small },
+            Instance { mesh: 0, world_from_object: DMat4::from_translation(DVec3::splat(900.0)) },
+        ];
+        let (drawn, cutouts) = drawn(&scene);
+        let reference = Reference::new(&scene, &drawn, &cutouts);
+        let target = DVec3::new(1e-5, 1e-5, 900.0);
+        assert!(reference.is_occluded(DVec3::ZERO, target));
+        let hit = reference.intersect(DVec3::ZERO, target, 1.0).unwrap();
+        assert!((hit.t * 900.0 - 3e-3).abs() < 1e-9);
     }
 
     #[test]
