@@ -9,6 +9,8 @@ pub mod preview;
 pub mod rays;
 #[cfg(feature = "bake")]
 pub mod reference;
+#[cfg(feature = "bake")]
+pub mod render;
 pub mod visibility;
 
 pub use archive::{Archive, LoadError};
