@@ -3,8 +3,11 @@
 pub mod archive;
 #[cfg(feature = "bake")]
 pub mod bench;
+#[cfg(feature = "bake")]
+pub mod exact;
 pub mod gpu;
 pub mod npy;
+pub mod plain_rows;
 pub mod preview;
 pub mod rays;
 #[cfg(feature = "bake")]

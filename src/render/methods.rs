@@ -3,11 +3,10 @@
 //! A new method is a variant of [`Method`], a line in [`Method::NAMES`] and an arm in [`visibility`]; if it reads an
 //! archive, [`Method::needs_archive`] says so.
 
-use super::raytrace::RayTraced;
 use super::scene::RenderScene;
 use crate::Archive;
+use crate::exact::ExactRays;
 use crate::gpu::GpuContext;
-use crate::reference::Reference;
 use crate::visibility::Visibility;
 use std::fmt;
 use std::str::FromStr;
@@ -24,8 +23,8 @@ pub enum Method {
 pub struct Ingredients<'a> {
     /// The scene.
     pub scene: &'a RenderScene,
-    /// Its triangles, ready for exact rays.
-    pub reference: &'a Reference<'a>,
+    /// Exact rays over its triangles.
+    pub exact: &'a ExactRays<'a>,
     /// Its archive, if the method [needs](Method::needs_archive) one.
     pub archive: Option<&'a Archive>,
     /// A GPU, if one shall be used.
@@ -43,8 +42,8 @@ pub struct MethodError {
 }
 
 impl Method {
-    /// Every method with its name.
-    const NAMES: &[(Self, &'static str)] = &[(Self::RayTrace, "raytrace")];
+    /// Every method with its name; of several names for one the first is its own.
+    const NAMES: &[(Self, &'static str)] = &[(Self::RayTrace, "raytrace"), (Self::RayTrace, "bvh")];
 
     /// The name that [`FromStr`] reads.
     pub fn name(self) -> &'static str {
@@ -83,6 +82,6 @@ pub fn visibility<'a>(
     ingredients: &Ingredients<'a>,
 ) -> Result<Box<dyn Visibility + 'a>, MethodError> {
     match method {
-        Method::RayTrace => Ok(Box::new(RayTraced::new(ingredients.reference, ingredients.scene.bounds))),
+        Method::RayTrace => Ok(Box::new(ingredients.exact)),
     }
 }
