@@ -2,6 +2,7 @@
 
 use crate::directions::ROW_RAW_BITS;
 use crate::masks::{UNMASKED, WrapCode};
+use crate::raster::BARYCENTRIC_ONE;
 
 /// Pixels that one invocation visits for one triangle along one axis; a triangle with more is done by workgroups.
 pub const SMALL_PIXELS: u32 = 256;
@@ -32,5 +33,6 @@ pub fn wgsl() -> String {
     let mut lines: String =
         integers.iter().map(|(name, value)| format!("const {name}: u32 = {value}u;\n")).collect();
     lines.push_str(&format!("const PEEL_DEPTHS: f32 = {PEEL_DEPTHS}.0;\n"));
+    lines.push_str(&format!("const BARYCENTRIC_ONE: f32 = {BARYCENTRIC_ONE}.0;\n"));
     lines
 }

@@ -10,11 +10,13 @@ mod peel;
 mod points;
 mod rows;
 mod triangles;
+mod visible;
 
 pub use fragments::fragments;
 pub use peel::peel;
 pub use points::rotate_points;
 pub use rows::raster_rows;
+pub use visible::{VisibleBatch, visible_triangles};
 
 use crate::device::DeviceError;
 use crate::executor::{BufferId, DepthId, Executor};

@@ -17,7 +17,7 @@ pub enum BindingKind {
     Uniform,
     /// A buffer to read.
     Read,
-    /// A buffer to read and write.
+    /// A buffer to read and write; of a depth stage by its fragments alone.
     ReadWrite,
     /// A depth image to read.
     Depth,
@@ -113,4 +113,5 @@ stages! {
         [Uniform, Uniform, Read, Read, Read, Read, Read, Read, Depth] Depth;
     peel_collect(lib_params, lib_raster, lib_views)
         [Uniform, Uniform, Read, Depth, ReadWrite, ReadWrite] Compute { workgroup_size: [8, 8, 1] };
+    visible_triangles(lib_masks) [Uniform, Read, Read, Read, Read, Depth, ReadWrite] Depth;
 }

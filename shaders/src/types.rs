@@ -89,13 +89,21 @@ impl PackedTriangle {
         alpha: &[u32],
         weights: [u32; 2],
     ) -> bool {
-        if self.mask == UNMASKED {
-            return true;
-        }
-        let mask = &masks[self.mask as usize];
-        let plane = &planes[mask.plane as usize];
-        plane.alpha(alpha, mask.map.at(weights)) >= mask.threshold
+        self.mask == UNMASKED || mask_passes(masks, planes, alpha, self.mask, weights)
     }
+}
+
+/// Whether the surface at these weights of a triangle with a mask exists.
+pub fn mask_passes(
+    masks: &[TriangleMask],
+    planes: &[PackedPlane],
+    alpha: &[u32],
+    mask: u32,
+    weights: [u32; 2],
+) -> bool {
+    let mask = &masks[mask as usize];
+    let plane = &planes[mask.plane as usize];
+    plane.alpha(alpha, mask.map.at(weights)) >= mask.threshold
 }
 
 /// Where an alpha plane lies in the buffer of all planes, 20 bytes.
@@ -192,6 +200,57 @@ pub struct PeelView {
     pub window_y: i32,
 }
 
+/// A camera's picture, 80 bytes. Vectors are along world axes.
+#[repr(C)]
+#[derive(Debug, Clone, Copy, PartialEq, Pod, Zeroable)]
+pub struct ViewParams {
+    /// From the eye to the middle of the picture at distance 1.
+    pub forward: [f32; 3],
+    /// What is nearer along `forward` is not drawn.
+    pub near_metres: f32,
+    /// From the middle of the picture to its right edge at distance 1.
+    pub right: [f32; 3],
+    /// Nothing is farther along `forward`.
+    pub far_metres: f32,
+    /// From the middle of the picture to its upper edge at distance 1.
+    pub up: [f32; 3],
+    /// Pixels a row.
+    pub width: u32,
+    /// `right` over its squared length.
+    pub right_over_square: [f32; 3],
+    /// Rows.
+    pub height: u32,
+    /// `up` over its squared length.
+    pub up_over_square: [f32; 3],
+    /// 0 to keep the nearest distances, 1 to collect the triangles there.
+    pub collect: u32,
+}
+
+/// A triangle as it is seen from a camera, 44 bytes.
+#[repr(C)]
+#[derive(Debug, Clone, Copy, PartialEq, Pod, Zeroable)]
+pub struct EyeTriangle {
+    /// Along world axes, from the eye, metres: x y z of vertex 0 first.
+    pub vertices: [f32; 9],
+    /// Index of its mask, or [`UNMASKED`].
+    pub mask: u32,
+    /// Its number, which is found where it is seen.
+    pub index: u32,
+}
+
+impl EyeTriangle {
+    /// Packs a triangle.
+    pub fn new(vertices: [[f32; 3]; 3], mask: u32, index: u32) -> Self {
+        let [[a, b, c], [d, e, f], [g, h, i]] = vertices;
+        Self { vertices: [a, b, c, d, e, f, g, h, i], mask, index }
+    }
+
+    /// Its vertices.
+    pub fn vertices(&self) -> [[f32; 3]; 3] {
+        [0, 3, 6].map(|at| [0, 1, 2].map(|i| self.vertices[at + i]))
+    }
+}
+
 /// What is asked of a segment test: is anything between two points? 36 bytes.
 #[repr(C)]
 #[derive(Debug, Clone, Copy, PartialEq, Default, Pod, Zeroable)]
@@ -284,4 +343,8 @@ gpu_structs! {
     DirectionFrame { row_from_lattice, offset }
     TriangleMask { plane, threshold, map, reserved }
     TexelMap { texel, step1, step2, shift }
+    ViewParams {
+        forward, near_metres, right, far_metres, up, width, right_over_square, height, up_over_square, collect,
+    }
+    EyeTriangle { vertices, mask, index }
 }

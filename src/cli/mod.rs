@@ -11,6 +11,7 @@ mod inspect;
 mod output;
 mod preview;
 mod progress;
+mod render;
 mod scene;
 mod verify;
 mod voxels;
@@ -49,6 +50,8 @@ enum Command {
     Voxels(voxels::Options),
     /// Measures voxels and rows against exact references
     Bench(bench::Args),
+    /// Draws a scene in the light of many lights
+    Render(render::Options),
     /// Draws the octree, a slice of it, or the rows of a direction
     Preview(preview::Options),
 }
@@ -77,6 +80,7 @@ pub(crate) fn main() -> ExitCode {
         Command::Voxels(options) => voxels::run(options),
         Command::Bench(options) => bench::run_command(options),
         Command::Preview(options) => preview::run(options),
+        Command::Render(options) => render::run(options),
     });
     match result {
         Ok(Ok(exit)) => exit.into(),

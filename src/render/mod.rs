@@ -18,7 +18,7 @@ pub mod image;
 pub mod lights;
 mod lights_file;
 pub mod methods;
-//pub mod raster;
+pub mod raster;
 pub mod scene;
 pub mod shade;
 //pub mod ssim;
