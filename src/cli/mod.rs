@@ -5,6 +5,7 @@ mod bake;
 mod bench;
 mod camera_file;
 mod cancel;
+mod compare;
 mod diff;
 mod error;
 mod inspect;
@@ -52,6 +53,8 @@ enum Command {
     Bench(bench::Args),
     /// Draws a scene in the light of many lights
     Render(render::Options),
+    /// Measures how far two pictures are apart
+    Compare(compare::Options),
     /// Draws the octree, a slice of it, or the rows of a direction
     Preview(preview::Options),
 }
@@ -81,6 +84,7 @@ pub(crate) fn main() -> ExitCode {
         Command::Bench(options) => bench::run_command(options),
         Command::Preview(options) => preview::run(options),
         Command::Render(options) => render::run(options),
+        Command::Compare(options) => compare::run(options),
     });
     match result {
         Ok(Ok(exit)) => exit.into(),

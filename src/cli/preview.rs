@@ -8,8 +8,8 @@ use clap::ValueEnum;
 use glam::DVec3;
 use manyview::Archive;
 use manyview::preview::{
-    Axis, CameraChoice, Mode, Picture, PictureFormat, Scene, ViewSettings, choose_camera,
-    picture_rows, picture_slice, picture_view, write_picture,
+    Axis, CameraChoice, Mode, Picture, PictureFormat, Scene, ViewSettings, choose_camera, picture_rows,
+    picture_slice, picture_view, write_picture,
 };
 use manyview_shaders::directions::DirectionSet;
 use manyview_shaders::sections::SceneInfo;

@@ -120,12 +120,12 @@ impl FromStr for Size {
     }
 }
 
-fn exposure(text: &str) -> Result<Exposure, String> {
+pub(super) fn exposure(text: &str) -> Result<Exposure, String> {
     match text {
         "auto" => Ok(Exposure::Auto),
-        text => text.parse().ok().filter(|stops: &f32| stops.abs() <= 60.0).map(Exposure::Stops).ok_or_else(|| {
-            "write `auto`, or stops from -60 to 60: radiance is multiplied by 2 to this power".to_owned()
-        }),
+        text => text.parse().ok().filter(|stops: &f32| stops.abs() <= 60.0).map(Exposure::Stops).ok_or_else(
+            || "write `auto`, or stops from -60 to 60: radiance is multiplied by 2 to this power".to_owned(),
+        ),
     }
 }
 
@@ -154,8 +154,8 @@ fn draw(options: &Options, formats: &[PictureFormat], progress: &Progress) -> Cl
     let gpu = open_gpu(options.backend)?;
     let ingredients =
         Ingredients { scene: &scene, exact: &exact, archive: archive.as_ref(), gpu: gpu.as_ref() };
-    let method = visibility(options.visibility, &ingredients)
-        .map_err(|error| CliError::new(Exit::BadInput, error))?;
+    let method =
+        visibility(options.visibility, &ingredients).map_err(|error| CliError::new(Exit::BadInput, error))?;
     let [width, height] = options.size.0;
     announce(options, &lights);
 
@@ -173,13 +173,11 @@ fn draw(options: &Options, formats: &[PictureFormat], progress: &Progress) -> Cl
     let surfaces = clock.elapsed().as_secs_f64();
     let image = light(&scene, &gbuffer, &lights, &*method, bits.as_mut(), progress)?;
     let lit = clock.elapsed().as_secs_f64();
-    let surface_radiances = || {
-        image.radiance.iter().zip(&gbuffer.pixels).filter(|(_, p)| p.is_surface()).map(|(&c, _)| c)
-    };
+    let surface_radiances =
+        || image.radiance.iter().zip(&gbuffer.pixels).filter(|(_, p)| p.is_surface()).map(|(&c, _)| c);
     let exposure_stops = options.exposure.stops(surface_radiances());
     let surface_count = gbuffer.surface_count();
-    let mean_shadow =
-        image.shadow.iter().map(|&s| f64::from(s)).sum::<f64>() / surface_count.max(1) as f64;
+    let mean_shadow = image.shadow.iter().map(|&s| f64::from(s)).sum::<f64>() / surface_count.max(1) as f64;
     let provenance =
         Provenance { visibility: options.visibility.name(), lights: lights.len(), exposure_stops };
     let picture = picture(&gbuffer, image, &provenance);
@@ -288,8 +286,7 @@ fn archive_of(options: &Options, scene: &RenderScene) -> Result<Option<Archive>,
         let archive = Archive::open(path)?;
         check_belongs(&archive, scene, &options.scene)?;
         if !wanted {
-            let message =
-                format!("--visibility {} does not read {}", options.visibility, path.display());
+            let message = format!("--visibility {} does not read {}", options.visibility, path.display());
             tell(options.format, "note", &message);
         }
         return Ok(wanted.then_some(archive));
@@ -297,7 +294,11 @@ fn archive_of(options: &Options, scene: &RenderScene) -> Result<Option<Archive>,
     if !wanted {
         return Ok(None);
     }
-    tell(options.format, "note", "no --bake was given: the scene is baked in memory with the default settings");
+    tell(
+        options.format,
+        "note",
+        "no --bake was given: the scene is baked in memory with the default settings",
+    );
     let bytes = bake_in_memory(&scene.scene, &BakeOptions::default())
         .map_err(|source| scene_error(options, source.into()))?;
     Ok(Some(Archive::from_bytes(bytes)?))
@@ -307,7 +308,8 @@ fn archive_of(options: &Options, scene: &RenderScene) -> Result<Option<Archive>,
 fn check_belongs(archive: &Archive, scene: &RenderScene, source: &SceneSource) -> Result<(), CliError> {
     let info = archive.scene_info();
     let triangles = scene.scene.drawn_triangles();
-    let same_bounds = info.bounds_min == scene.bounds[0].to_array() && info.bounds_max == scene.bounds[1].to_array();
+    let same_bounds =
+        info.bounds_min == scene.bounds[0].to_array() && info.bounds_max == scene.bounds[1].to_array();
     if info.triangles == triangles && same_bounds {
         return Ok(());
     }
@@ -338,9 +340,8 @@ fn lights_of(
         }
         None => LightSource::Scene,
     };
-    let lights = source
-        .lights(scene, exact.reference())
-        .map_err(|error| CliError::new(Exit::BadInput, error))?;
+    let lights =
+        source.lights(scene, exact.reference()).map_err(|error| CliError::new(Exit::BadInput, error))?;
     if lights.is_empty() {
         tell(options.format, "warning", "there are no lights: the picture shows ambient light only");
     }

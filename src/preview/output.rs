@@ -4,8 +4,8 @@ use std::io::{self, Seek, Write};
 use std::path::Path;
 
 use exr::prelude::{
-    AnyChannel, AnyChannels, AttributeValue, Compression, Encoding, FlatSamples, Image, Layer, LayerAttributes, LineOrder,
-    SmallVec, WritableImage,
+    AnyChannel, AnyChannels, AttributeValue, Compression, Encoding, FlatSamples, Image, Layer,
+    LayerAttributes, LineOrder, SmallVec, WritableImage,
 };
 use image::{ExtendedColorType, ImageEncoder, codecs::png};
 use manyview_cache::atomic::{AtomicFile, AtomicFileError};
@@ -69,8 +69,7 @@ pub fn write_exr(file: &mut (impl Write + Seek), picture: &Picture) -> io::Resul
         match extra {
             Extra::Scalar(values) => channels.push(plane(format!("{layer}.Z"), values.iter().copied())),
             Extra::Vector(values) | Extra::Color(values) => {
-                let names =
-                    if matches!(extra, Extra::Color(_)) { ["R", "G", "B"] } else { ["X", "Y", "Z"] };
+                let names = if matches!(extra, Extra::Color(_)) { ["R", "G", "B"] } else { ["X", "Y", "Z"] };
                 for (i, name) in names.into_iter().enumerate() {
                     channels.push(plane(format!("{layer}.{name}"), values.iter().map(|v| v[i])));
                 }

@@ -122,7 +122,8 @@ impl GBuffer {
         progress: &dyn Progress,
         find: impl Fn(usize, DVec3, DVec3) -> Option<Hit> + Sync,
     ) -> Self {
-        let looks = Looks { scene, reference, textures: Textures::new(&scene.scene), spread: rays.pixel_spread() };
+        let looks =
+            Looks { scene, reference, textures: Textures::new(&scene.scene), spread: rays.pixel_spread() };
         let width = size[0] as usize;
         let mut pixels = vec![Pixel::EMPTY; width * size[1] as usize];
         progress.begin("g-buffer", u64::from(size[1]), "rows");

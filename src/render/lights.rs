@@ -65,9 +65,11 @@ impl FromStr for LightSource {
             };
         };
         if kind == "vpl" {
-            return Err("virtual point lights (vpl:N) are not made by this version; use particles:N, random:N or a \
+            return Err(
+                "virtual point lights (vpl:N) are not made by this version; use particles:N, random:N or a \
                         file of lights"
-                .to_owned());
+                    .to_owned(),
+            );
         }
         if kind != "random" && kind != "particles" {
             return Ok(Self::File(text.into()));
@@ -216,7 +218,8 @@ impl<'a> Floors<'a> {
 
     fn point(&self, random: &mut Random) -> Option<DVec3> {
         let at = random.unit() * self.areas.last()?;
-        let [a, b, c] = self.triangles[self.areas.partition_point(|&sum| sum <= at).min(self.areas.len() - 1)];
+        let [a, b, c] =
+            self.triangles[self.areas.partition_point(|&sum| sum <= at).min(self.areas.len() - 1)];
         let (mut b1, mut b2) = (random.unit(), random.unit());
         if b1 + b2 > 1.0 {
             (b1, b2) = (1.0 - b1, 1.0 - b2);

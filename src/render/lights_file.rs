@@ -65,13 +65,15 @@ fn csv(text: &str) -> Result<Vec<PunctualLight>, String> {
     let lines = text.lines().enumerate().filter(|(_, line)| !line.trim().is_empty());
     for (place, (number, line)) in lines.enumerate() {
         let numbers: Option<Vec<f32>> = line.split(',').map(|n| n.trim().parse().ok()).collect();
-        lights.push(match numbers.as_deref() {
-            Some(&[x, y, z]) => light(Vec3::new(x, y, z), Vec3::ONE),
-            Some(&[x, y, z, r, g, b]) => light(Vec3::new(x, y, z), Vec3::new(r, g, b)),
-            None if place == 0 => continue,
-            _ => Err("it must be x,y,z or x,y,z,r,g,b in numbers".to_owned()),
-        }
-        .map_err(|reason| format!("line {}: {reason}", number + 1))?);
+        lights.push(
+            match numbers.as_deref() {
+                Some(&[x, y, z]) => light(Vec3::new(x, y, z), Vec3::ONE),
+                Some(&[x, y, z, r, g, b]) => light(Vec3::new(x, y, z), Vec3::new(r, g, b)),
+                None if place == 0 => continue,
+                _ => Err("it must be x,y,z or x,y,z,r,g,b in numbers".to_owned()),
+            }
+            .map_err(|reason| format!("line {}: {reason}", number + 1))?,
+        );
     }
     Ok(lights)
 }
@@ -139,8 +141,7 @@ fn light_of(fields: &Map<String, Value>) -> Result<PunctualLight, String> {
             if !(inner <= outer && outer <= 90.0) {
                 return Err("`inner_angle` ≤ `outer_angle` ≤ 90 must hold".to_owned());
             }
-            light.kind =
-                LightKind::Spot { inner_angle: inner.to_radians(), outer_angle: outer.to_radians() };
+            light.kind = LightKind::Spot { inner_angle: inner.to_radians(), outer_angle: outer.to_radians() };
         }
         None if fields.contains_key("inner_angle") || fields.contains_key("outer_angle") => {
             return Err("angles need the field `direction`".to_owned());
@@ -163,12 +164,15 @@ mod tests {
 
     #[test]
     fn all_formats_say_the_same() {
-        let json = r#"[{"position": [1, 2, 3], "color": [1, 0.5, 0], "intensity": 4}, {"position": [0, 0, 0]}]"#;
+        let json =
+            r#"[{"position": [1, 2, 3], "color": [1, 0.5, 0], "intensity": 4}, {"position": [0, 0, 0]}]"#;
         let toml = "[[lights]]\nposition = [1, 2, 3]\ncolor = [1, 0.5, 0]\nintensity = 4\n\
                     [[lights]]\nposition = [0, 0, 0]";
         let csv = "x,y,z,r,g,b\n1, 2, 3, 4, 2, 0\n\n0,0,0,1,1,1\n";
-        let expected =
-            vec![point_light(Vec3::new(1.0, 2.0, 3.0), Vec3::new(4.0, 2.0, 0.0)), point_light(Vec3::ZERO, Vec3::ONE)];
+        let expected = vec![
+            point_light(Vec3::new(1.0, 2.0, 3.0), Vec3::new(4.0, 2.0, 0.0)),
+            point_light(Vec3::ZERO, Vec3::ONE),
+        ];
         for (name, text) in [("l.json", json), ("l.toml", toml), ("l.CSV", csv)] {
             assert_eq!(parse(name, text).as_ref(), Ok(&expected), "{name}");
         }
@@ -181,7 +185,9 @@ mod tests {
         let text = r#"[{"position": [0, 5, 0], "direction": [0, -2, 0], "outer_angle": 30, "range": 9}]"#;
         let light = parse("l.json", text).unwrap()[0];
         assert_eq!((light.direction, light.range), (Vec3::NEG_Y, 9.0));
-        assert!(matches!(light.kind, LightKind::Spot { outer_angle, .. } if (outer_angle - 0.5236).abs() < 1e-4));
+        assert!(
+            matches!(light.kind, LightKind::Spot { outer_angle, .. } if (outer_angle - 0.5236).abs() < 1e-4)
+        );
     }
 
     #[test]

@@ -12,14 +12,15 @@
 //!
 //! Every picture depends on its inputs alone, not on threads; the G-buffers of CPU and GPU differ in pixels on edges.
 
-//pub mod compare;
+pub mod compare;
 pub mod gbuffer;
 pub mod image;
 pub mod lights;
 mod lights_file;
 pub mod methods;
 pub mod raster;
+pub mod read;
 pub mod scene;
 pub mod shade;
-//pub mod ssim;
+pub mod ssim;
 mod textures;

@@ -178,8 +178,9 @@ mod tests {
 
     #[test]
     fn bits_choose_lights() {
-        let lights: Vec<_> =
-            (0..40).map(|i| point_light(Vec3::Y * 5.0, Vec3::splat(if i == 35 { 25.0 } else { 0.0 }))).collect();
+        let lights: Vec<_> = (0..40)
+            .map(|i| point_light(Vec3::Y * 5.0, Vec3::splat(if i == 35 { 25.0 } else { 0.0 })))
+            .collect();
         near(lit(&lights, &[0, 0]), 1.0);
         near(lit(&lights, &[0, 1 << 3]), 0.0);
         near(lit(&lights, &[u32::MAX, !(1 << 3)]), 1.0);

@@ -46,7 +46,9 @@ impl Textures {
 
     /// Linear colour where a pixel covers about `texels` texels of the full size in area.
     pub(super) fn sample(&self, texture: u32, uv: DVec2, texels: f64) -> Vec3 {
-        let Some(chain) = self.chains.get(texture as usize).and_then(Option::as_ref) else { return Vec3::ONE };
+        let Some(chain) = self.chains.get(texture as usize).and_then(Option::as_ref) else {
+            return Vec3::ONE;
+        };
         // Half of log2 of an area is log2 of a length; NaN reads the full size.
         let detail = (texels.log2() * 0.5).clamp(0.0, (chain.levels.len() - 1) as f64);
         let level = if detail.is_nan() { 0 } else { detail as usize };

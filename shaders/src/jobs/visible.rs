@@ -72,7 +72,14 @@ pub fn visible_triangles(
             work.executor.run(&recording)?;
             let bindings = [params, triangles, masks, planes, alpha].map(Binding::from);
             let bindings = [&bindings[..], &[nearest.into(), seen.into()]].concat();
-            let mut pieces = Pieces { bindings: &bindings, target, triangles, masks, packed: Vec::new(), cuts: Vec::new() };
+            let mut pieces = Pieces {
+                bindings: &bindings,
+                target,
+                triangles,
+                masks,
+                packed: Vec::new(),
+                cuts: Vec::new(),
+            };
             for index in 0..batch.count {
                 let mut mask = batch.mask_of.get(index).copied().unwrap_or(UNMASKED);
                 if mask == UNMASKED {
