@@ -173,9 +173,7 @@ fn draw(options: &Options, formats: &[PictureFormat], progress: &Progress) -> Cl
     let surfaces = clock.elapsed().as_secs_f64();
     let image = light(&scene, &gbuffer, &lights, &*method, bits.as_mut(), progress)?;
     let lit = clock.elapsed().as_secs_f64();
-    let surface_radiances =
-        || image.radiance.iter().zip(&gbuffer.pixels).filter(|(_, p)| p.is_surface()).map(|(&c, _)| c);
-    let exposure_stops = options.exposure.stops(surface_radiances());
+    let exposure_stops = image.stops(options.exposure);
     let surface_count = gbuffer.surface_count();
     let mean_shadow = image.shadow.iter().map(|&s| f64::from(s)).sum::<f64>() / surface_count.max(1) as f64;
     let provenance =

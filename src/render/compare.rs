@@ -12,7 +12,7 @@
 use super::image::Exposure;
 use super::ssim::ssim;
 use crate::npy::{ArrayReader, ReadError};
-use crate::preview::{Picture, heat, tone_mapped};
+use crate::preview::{Picture, heat, luminance, tone_mapped};
 use std::io::Read;
 use thiserror::Error;
 
@@ -134,7 +134,7 @@ pub fn compare(
     let exposure_stops = match (&reference.color, &image.color) {
         (Color::Radiance(values), Color::Radiance(_)) => Some(match (exposure, reference.exposure_stops) {
             (Exposure::Auto, Some(stops)) => stops,
-            _ => exposure.stops(values.iter().copied()),
+            _ => exposure.stops(values.iter().map(|&c| luminance(c.into()))),
         }),
         (Color::Codes(_), Color::Codes(_)) => None,
         _ => return Err(CompareError::Kinds),

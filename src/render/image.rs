@@ -3,7 +3,7 @@
 use super::gbuffer::{GBuffer, Pixel};
 use super::lights::light_points;
 use super::scene::RenderScene;
-use super::shade::Lighting;
+use super::shade::{Lighting, reflected};
 use crate::preview::{Extra, Picture, display, luminance, tone_mapped};
 use crate::visibility::{Receiver, Visibility, VisibilityError, light_words};
 use glam::Vec3;
@@ -45,6 +45,8 @@ pub struct LitImage {
     pub radiance: Vec<[f32; 3]>,
     /// Hidden lights / all lights; 0 where there is no surface or no light.
     pub shadow: Vec<f32>,
+    /// Luminance that is due to lights alone, without glow and ambient light.
+    pub direct: Vec<f32>,
 }
 
 /// Takes the bits of hidden lights of pixel after pixel, [`light_words`] words each, 0 where there is no surface.
@@ -63,7 +65,7 @@ pub fn render(
     let points = light_points(lights, scene);
     let lighting = Lighting::new(lights, scene);
     let count = gbuffer.pixels.len();
-    let mut image = LitImage { radiance: vec![[0.0; 3]; count], shadow: vec![0.0; count] };
+    let mut image = LitImage { radiance: vec![[0.0; 3]; count], shadow: vec![0.0; count], direct: vec![0.0; count] };
     let mut hidden = Vec::new();
     let mut ordered_bits = Vec::new();
     let most = (BAND_BYTES / (size_of::<Receiver>() + 4 * words)).max(1);
@@ -84,17 +86,20 @@ pub fn render(
             method.hidden_lights(&receivers, &points, &mut hidden)?;
         }
         let of = |place: usize| &hidden[place * words..(place + 1) * words];
-        let lit: Vec<(Vec3, u32)> = pixels
+        let lit: Vec<(Vec3, f32, u32)> = pixels
             .par_iter()
             .enumerate()
             .map(|(place, &i)| {
                 let hidden = of(place);
                 let count = hidden.iter().map(|word| word.count_ones()).sum();
-                (lighting.radiance(&gbuffer.pixels[i], hidden), count)
+                let pixel = &gbuffer.pixels[i];
+                let direct = lighting.direct(pixel, hidden);
+                (lighting.radiance(pixel, direct), luminance(reflected(pixel, direct)), count)
             })
             .collect();
-        for (&i, (radiance, hidden)) in pixels.iter().zip(lit) {
+        for (&i, (radiance, direct, hidden)) in pixels.iter().zip(lit) {
             image.radiance[i] = radiance.to_array();
+            image.direct[i] = direct;
             image.shadow[i] = hidden as f32 / lights.len().max(1) as f32;
         }
         if let Some(sink) = &mut bits {
@@ -149,24 +154,31 @@ pub enum Exposure {
 }
 
 impl Exposure {
-    /// Stops for a picture whose surfaces send these radiances.
-    pub fn stops(self, radiances: impl Iterator<Item = [f32; 3]>) -> f32 {
-        let stops = match self {
-            Self::Stops(stops) => return stops,
-            Self::Auto => auto_stops(radiances),
-        };
-        // Rounded, so that it can be written down and given back.
-        (stops * 100.0).round() / 100.0
+    /// Stops for a picture whose surfaces send back these luminances.
+    pub fn stops(self, luminances: impl Iterator<Item = f32>) -> f32 {
+        match self {
+            Self::Stops(stops) => stops,
+            // Rounded, so that it can be written down and given back.
+            Self::Auto => (auto_stops(luminances) * 100.0).round() / 100.0,
+        }
     }
 }
 
-/// Between what brings the median to a dark grey and what keeps all but the brightest twentieth below white: scenes at
-/// night stay dark where no light is.
-fn auto_stops(radiances: impl Iterator<Item = [f32; 3]>) -> f32 {
-    let mut lights: Vec<f32> = radiances
-        .map(|c| luminance(Vec3::from(c)))
-        .filter(|light| light.is_finite() && *light > 0.0)
-        .collect();
+impl LitImage {
+    /// Stops for this picture: automatic ones go by what lights reach, or by all that is not black where they reach
+    /// nothing.
+    pub fn stops(&self, exposure: Exposure) -> f32 {
+        match self.direct.iter().any(|&light| light > 0.0) {
+            true => exposure.stops(self.direct.iter().copied()),
+            false => exposure.stops(self.radiance.iter().map(|&c| luminance(Vec3::from(c)))),
+        }
+    }
+}
+
+/// Between what brings the median to a dark grey and what keeps all but the brightest twentieth below white. Black does
+/// not count, so that scenes at night stay dark where no light is.
+fn auto_stops(luminances: impl Iterator<Item = f32>) -> f32 {
+    let mut lights: Vec<f32> = luminances.filter(|light| light.is_finite() && *light > 0.0).collect();
     if lights.is_empty() {
         return 0.0;
     }
@@ -175,8 +187,8 @@ fn auto_stops(radiances: impl Iterator<Item = [f32; 3]>) -> f32 {
         *lights.select_nth_unstable_by(place, f32::total_cmp).1
     };
     let (median, bright) = (at(0.5), at(0.95));
-    let (from_median, from_bright) = ((0.16 / median).log2(), (0.9 / bright).log2());
-    ((from_median + from_bright) * 0.5).clamp(-60.0, 60.0)
+    let (from_median, from_bright) = ((0.14 / median).log2(), (0.7 / bright).log2());
+    ((from_median + 2.0 * from_bright) / 3.0).clamp(-60.0, 60.0)
 }
 
 /// What a picture's file says of how it was made.

@@ -245,7 +245,7 @@ impl Fountain {
         let (sine, cosine) = sin_cos(random.unit() * TAU);
         let height = self.height * strength * 4.0 * age * (1.0 - age);
         let offset = DVec3::new(cosine * reach, height, sine * reach);
-        (self.foot + offset, color(self.hue + 0.12 * age, 0.85))
+        (self.foot + offset, color(self.hue + 0.12 * age, 0.7))
     }
 }
 

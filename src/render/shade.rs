@@ -5,9 +5,9 @@
 //! lights; `KHR_lights_punctual` says how range and cone weaken a light.
 //!
 //! # Practice
-//! Within [`NEAR_SHARE`] of the scene's radius a light shines as from that distance. The ambient term stands for all light that
-//! comes over other surfaces: [`AMBIENT_SHARE`] of the irradiance that all lights would give together a scene radius
-//! away, on every surface alike; without lights, of one lux.
+//! Within [`NEAR_SHARE`] of the scene's radius a light shines as from that distance. The ambient term stands for all
+//! light that comes over other surfaces: [`AMBIENT_SHARE`] of the irradiance that all lights give together a scene radius
+//! away, or that one of them gives on average at half its range, whichever is larger; without lights, of one lux.
 
 use super::gbuffer::Pixel;
 use super::scene::RenderScene;
@@ -17,8 +17,8 @@ use std::f32::consts::FRAC_1_PI;
 
 /// Closest distance at which a light's inverse square is taken, as a share of the scene's radius.
 pub const NEAR_SHARE: f64 = 0.004;
-/// Share of the mean light of a scene that reaches every surface.
-pub const AMBIENT_SHARE: f32 = 0.02;
+/// Share of the typical light of a scene that reaches every surface.
+pub const AMBIENT_SHARE: f32 = 0.03;
 
 /// A light, prepared for sums.
 #[derive(Debug, Clone, Copy)]
@@ -47,18 +47,20 @@ pub struct Lighting {
 impl Lighting {
     /// The light of `lights` in a scene.
     pub fn new(lights: &[PunctualLight], scene: &RenderScene) -> Self {
-        let radius2 = (scene.radius().powi(2) as f32).max(f32::MIN_POSITIVE);
-        let irradiance = |light: &PunctualLight| match light.kind {
+        let radius = (scene.radius() as f32).max(f32::MIN_POSITIVE);
+        let at = |light: &PunctualLight, metres: f32| match light.kind {
             LightKind::Directional => light.intensity,
-            LightKind::Point | LightKind::Spot { .. } => light.intensity / radius2,
+            LightKind::Point | LightKind::Spot { .. } => light.intensity / (metres * metres),
         };
-        let mean = match lights.is_empty() {
-            true => Vec3::ONE,
-            false => lights.iter().map(irradiance).sum(),
+        let together: Vec3 = lights.iter().map(|light| at(light, radius)).sum();
+        let near: Vec3 = lights.iter().map(|light| at(light, radius.min(light.range * 0.5))).sum();
+        let typical = match lights.len() {
+            0 => Vec3::ONE,
+            count => together.max(near / count as f32),
         };
         Self {
             sources: lights.iter().map(source).collect(),
-            ambient: mean * AMBIENT_SHARE,
+            ambient: typical * AMBIENT_SHARE,
             near2: (scene.radius() * NEAR_SHARE).powi(2) as f32,
         }
     }
@@ -68,14 +70,15 @@ impl Lighting {
         self.ambient
     }
 
-    /// Radiance of a pixel's surface towards the viewer, where the bits of `hidden` say which lights it does not see.
+    /// Irradiance from the lights of which the bits of `hidden` say that a pixel's surface sees them.
     ///
     /// # Panics
     /// If `hidden` has fewer bits than there are lights.
-    pub fn radiance(&self, pixel: &Pixel, hidden: &[u32]) -> Vec3 {
+    pub fn direct(&self, pixel: &Pixel, hidden: &[u32]) -> Vec3 {
+        assert!(hidden.len() >= self.sources.len().div_ceil(32), "a bit for each light");
         let position = Vec3::from(pixel.position);
         let (normal, face) = (Vec3::from(pixel.normal), Vec3::from(pixel.geometric_normal));
-        let mut sum = self.ambient;
+        let mut sum = Vec3::ZERO;
         for (lights, &hidden) in self.sources.chunks(32).zip(hidden) {
             let mut visible = !hidden;
             if lights.len() < 32 {
@@ -87,8 +90,18 @@ impl Lighting {
                 sum += source.irradiance(position, normal, face, self.near2);
             }
         }
-        Vec3::from(pixel.emissive) + Vec3::from(pixel.albedo) * FRAC_1_PI * sum
+        sum
     }
+
+    /// Radiance of a pixel's surface towards the viewer under an irradiance from lights.
+    pub fn radiance(&self, pixel: &Pixel, direct: Vec3) -> Vec3 {
+        Vec3::from(pixel.emissive) + reflected(pixel, self.ambient + direct)
+    }
+}
+
+/// Radiance that a surface sends back of an irradiance.
+pub fn reflected(pixel: &Pixel, irradiance: Vec3) -> Vec3 {
+    Vec3::from(pixel.albedo) * FRAC_1_PI * irradiance
 }
 
 fn source(light: &PunctualLight) -> Source {
@@ -156,8 +169,10 @@ mod tests {
     fn lit(lights: &[PunctualLight], hidden: &[u32]) -> Vec3 {
         let scene = RenderScene::new(generate(SceneKind::Town, 1000, 1)).unwrap();
         let lighting = Lighting::new(lights, &scene);
-        let pixel = lighting.radiance(&PIXEL, hidden);
-        pixel - Vec3::from(PIXEL.albedo) * FRAC_1_PI * lighting.ambient()
+        let direct = lighting.direct(&PIXEL, hidden);
+        let expected = reflected(&PIXEL, lighting.ambient()) + reflected(&PIXEL, direct);
+        assert!((lighting.radiance(&PIXEL, direct) - expected).abs().max_element() < 1e-5);
+        reflected(&PIXEL, direct)
     }
 
     fn near(found: Vec3, irradiance: f32) {
