@@ -65,7 +65,8 @@ pub fn render(
     let points = light_points(lights, scene);
     let lighting = Lighting::new(lights, scene);
     let count = gbuffer.pixels.len();
-    let mut image = LitImage { radiance: vec![[0.0; 3]; count], shadow: vec![0.0; count], direct: vec![0.0; count] };
+    let mut image =
+        LitImage { radiance: vec![[0.0; 3]; count], shadow: vec![0.0; count], direct: vec![0.0; count] };
     let mut hidden = Vec::new();
     let mut ordered_bits = Vec::new();
     let most = (BAND_BYTES / (size_of::<Receiver>() + 4 * words)).max(1);

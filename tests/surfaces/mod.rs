@@ -55,7 +55,12 @@ pub(crate) fn cases() -> Vec<Case> {
     vec![
         case("town from above", town(), [0.9, 1.2, 1.1], [-0.4, -0.35, -0.5]),
         case("town from a street", town(), [0.5, 0.12, 0.4], [0.3, 0.05, -1.0]),
-        case("forest with leaves of alpha", generate(SceneKind::Forest, 8000, 2), [0.5, 0.3, 1.1], [0.0, -0.1, -1.0]),
+        case(
+            "forest with leaves of alpha",
+            generate(SceneKind::Forest, 8000, 2),
+            [0.5, 0.3, 1.1],
+            [0.0, -0.1, -1.0],
+        ),
         case("town far from the origin", moved(town()), [0.9, 1.2, 1.1], [-0.4, -0.35, -0.5]),
         case("a floor around the camera", floor, [0.5, 1.0, 0.5], [1.0, -0.02, 0.3]),
     ]
