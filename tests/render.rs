@@ -5,6 +5,7 @@ use glam::{DMat4, DVec3, Vec3, Vec4};
 use manyview::exact::ExactRays;
 use manyview::preview::Camera;
 use manyview::render::gbuffer::GBuffer;
+use manyview::render::glow::glow;
 use manyview::render::image::{Exposure, LitImage, Provenance, picture, render};
 use manyview::render::lights::point_light;
 use manyview::render::methods::{Ingredients, Method, visibility};
@@ -231,7 +232,26 @@ fn without_lights_there_is_ambient_light_alone() {
     assert_eq!(gbuffer.surface_count(), 100);
     assert!(image.stops(Exposure::Auto).is_finite());
     let provenance = Provenance { visibility: "raytrace", lights: 0, exposure_stops: 0.0 };
-    assert_eq!(picture(&gbuffer, image, &provenance).display[0], [0, 0, 0]);
+    assert_eq!(picture(&gbuffer, image, &[], &provenance).display[0], [0, 0, 0]);
+}
+
+#[test]
+fn lights_are_drawn_where_nothing_hides_them() {
+    let scene = quads(&[floor(5.0, 0.0)]);
+    let lights = [[2.0, 1.0, 0.0], [-2.0, -1.0, 0.0], [0.0, 90.0, 0.0]]
+        .map(|p| point_light(p.into(), Vec3::new(2.0, 1.0, 0.0)));
+    let camera = from_above(10.0);
+    let (gbuffer, image, _) = draw(&scene, &camera, [100, 100], &lights);
+    let glow = glow(&gbuffer, &camera, &lights, scene.radius()).unwrap();
+    // The first is a metre nearer to the eye than the floor.
+    let column = (50.0 + 20.0 * 40.0 / 39.0) as usize;
+    assert_eq!(glow[50 * 100 + column], [1.0, 0.5, 0.0]);
+    let drawn: Vec<usize> = (0..glow.len()).filter(|&i| glow[i] != [0.0; 3]).collect();
+    assert!(drawn.iter().all(|i| (i % 100).abs_diff(column) < 5 && (i / 100).abs_diff(50) < 5), "{drawn:?}");
+    let provenance = Provenance { visibility: "raytrace", lights: 3, exposure_stops: -20.0 };
+    let picture = picture(&gbuffer, image, &glow, &provenance);
+    assert_eq!(picture.display[50 * 100 + column], [255, 188, 0]);
+    assert!(picture.color[50 * 100 + column][0] < 2.0, "no glow in the radiance");
 }
 
 /// Cancels after some progress.
@@ -274,7 +294,7 @@ fn bits_come_in_the_order_of_pixels_whatever_the_tiles() {
             assert_eq!(words, [0, 0]);
             continue;
         }
-        let origin = DVec3::from(Vec3::from(pixel.position).as_dvec3()) + DVec3::Y * 1e-4;
+        let origin = Vec3::from(pixel.position).as_dvec3() + DVec3::Y * 1e-4;
         let mut hidden = 0;
         for (l, light) in lights.iter().enumerate() {
             let expected = exact.reference().is_occluded(origin, light.position.as_dvec3());

@@ -13,6 +13,7 @@ use manyview::gpu::{AdapterChoice, GpuContext};
 use manyview::npy;
 use manyview::preview::{Camera, CameraChoice, PictureFormat, write_picture};
 use manyview::render::gbuffer::{GBuffer, MAX_PIXELS, MAX_SIDE};
+use manyview::render::glow::glow;
 use manyview::render::image::{Exposure, LitImage, Provenance, RenderError, picture, render};
 use manyview::render::lights::{DEFAULT_LIGHTS, LightSource, MAX_LIGHTS};
 use manyview::render::methods::{Ingredients, Method, visibility};
@@ -63,6 +64,9 @@ pub(crate) struct Options {
     /// Stops between radiance and the tone-mapped picture, or `auto`
     #[arg(long, value_name = "EV|auto", default_value = "auto", value_parser = exposure, allow_hyphen_values = true)]
     exposure: Exposure,
+    /// Draw the lights themselves, in .png only: small discs
+    #[arg(long)]
+    show_lights: bool,
     /// Also write which lights each pixel does not see: uint32 (height, width, words), bit l % 32 of word l / 32 for
     /// light l, 0 where there is no surface; for `compare --light-bits`
     #[arg(long, value_name = "B.npy")]
@@ -86,8 +90,8 @@ An EXR has linear radiance in R, G, B (not multiplied by the exposure) and the l
 (metres, +infinity where there is nothing), shadow (hidden lights / all lights) and, if anything glows, emissive; its \
 attribute `manyview` says how it was made.\n\
 \n\
-A file of lights is JSON (a list, or an object with the list as `lights`), TOML ([[lights]]) or CSV (x,y,z or \
-x,y,z,r,g,b). A light has position ([x, y, z], metres), and if need be color ([r, g, b], linear), intensity (candela), \
+A file of lights is JSON (a list, or an object with the list as `lights`), TOML ([[lights]]), CSV (x,y,z or \
+x,y,z,r,g,b) or NumPy (float32 (n, 3) or (n, 6), likewise). A light has position ([x, y, z], metres), and if need be color ([r, g, b], linear), intensity (candela), \
 range (metres), and for a spot direction, inner_angle and outer_angle (degrees).\n\
 \n\
 A camera file is JSON or TOML with eye and target ([x, y, z], metres), and if need be up ([x, y, z], +Y unless given) and \
@@ -178,7 +182,11 @@ fn draw(options: &Options, formats: &[PictureFormat], progress: &Progress) -> Cl
     let mean_shadow = image.shadow.iter().map(|&s| f64::from(s)).sum::<f64>() / surface_count.max(1) as f64;
     let provenance =
         Provenance { visibility: options.visibility.name(), lights: lights.len(), exposure_stops };
-    let picture = picture(&gbuffer, image, &provenance);
+    let glow = match options.show_lights {
+        true => glow(&gbuffer, &camera, &lights, scene.radius())?,
+        false => Vec::new(),
+    };
+    let picture = picture(&gbuffer, image, &glow, &provenance);
     for (path, format) in options.output.iter().zip(formats) {
         cancel::check()?;
         write_picture(path, *format, &picture)?;

@@ -203,10 +203,23 @@ pub struct Provenance<'a> {
     pub exposure_stops: f32,
 }
 
-/// The picture with all its layers.
-pub fn picture(gbuffer: &GBuffer, image: LitImage, provenance: &Provenance<'_>) -> Picture {
+/// The picture with all its layers. `glow` is linear light for screens alone, for each pixel, or empty.
+///
+/// # Panics
+/// If `glow` has another length than the picture has pixels.
+pub fn picture(
+    gbuffer: &GBuffer,
+    image: LitImage,
+    glow: &[[f32; 3]],
+    provenance: &Provenance<'_>,
+) -> Picture {
+    assert!(glow.is_empty() || glow.len() == gbuffer.pixels.len(), "glow for each pixel");
     let factor = provenance.exposure_stops.exp2();
-    let display = image.radiance.par_iter().map(|&c| developed(c, factor)).collect();
+    let developed = |(i, radiance): (usize, &[f32; 3])| {
+        let glow = glow.get(i).copied().unwrap_or_default();
+        display([0, 1, 2].map(|c| tone_mapped(radiance[c] * factor) + glow[c]))
+    };
+    let display = image.radiance.par_iter().enumerate().map(developed).collect();
     let vectors = |of: fn(&Pixel) -> [f32; 3]| gbuffer.pixels.iter().map(of).collect::<Vec<_>>();
     let mut layers = vec![
         ("albedo", Extra::Color(vectors(|p| p.albedo))),
@@ -231,9 +244,4 @@ pub fn picture(gbuffer: &GBuffer, image: LitImage, provenance: &Provenance<'_>) 
         layers,
         note: Some(note.to_string()),
     }
-}
-
-/// A radiance as screens show it, given 2 to the power of the exposure's stops.
-pub fn developed(radiance: [f32; 3], factor: f32) -> [u8; 3] {
-    display(radiance.map(|c| tone_mapped(c * factor)))
 }

@@ -155,7 +155,7 @@ fn random(scene: &RenderScene, count: usize, seed: u64) -> Vec<PunctualLight> {
 fn particles(scene: &RenderScene, reference: &Reference<'_>, count: usize, seed: u64) -> Vec<PunctualLight> {
     let mut random = Random::new(seed ^ 0x7061_7274_6963_6c65);
     // More particles make more fountains, and denser ones.
-    let fountains = (((count as f64).sqrt() / 4.0) as usize).clamp(1, 64);
+    let fountains = (((count as f64).sqrt() / 2.0) as usize).clamp(1, 64);
     let fountains: Vec<Fountain> = {
         let floors = Floors::new(reference);
         let hue = random.unit();

@@ -4,6 +4,7 @@
 //! |---|---|
 //! | `.json` | a list of lights, or an object with the list as `lights` |
 //! | `.toml` | an array of tables `[[lights]]` |
+//! | `.npy` | float32 (n, 3) positions, or (n, 6) positions and colours times candela |
 //! | `.csv` | a line for each light: `x,y,z`, or `x,y,z,r,g,b`; a first line that is no numbers is taken for names |
 //!
 //! A light of JSON or TOML has `position` ([x, y, z], metres), and if need be `color` ([r, g, b], linear, white unless
@@ -11,9 +12,12 @@
 //! ([x, y, z], makes it a spot) with `inner_angle` and `outer_angle` (degrees from the axis, 0 and 45 unless given).
 
 use super::lights::{MAX_LIGHTS, point_light};
+use crate::npy::{ArrayReader, ReadError};
+use fs_err::File;
 use glam::Vec3;
 use manyview_pipeline::scene::{LightKind, PunctualLight};
 use serde_json::{Map, Value};
+use std::io::BufReader;
 use std::path::{Path, PathBuf};
 use thiserror::Error;
 
@@ -23,7 +27,7 @@ const MAX_FILE_BYTES: u64 = 64 << 20;
 /// What is wrong with a file of lights.
 #[derive(Debug, Error)]
 #[error(
-    "{}: {reason}; a file of lights is JSON, TOML or CSV, as in [{{\"position\": [0, 3, 0], \"color\": [1, 0.8, 0.6], \
+    "{}: {reason}; a file of lights is JSON, TOML, CSV or NumPy, as in [{{\"position\": [0, 3, 0], \"color\": [1, 0.8, 0.6], \
      \"intensity\": 40}}]", path.display()
 )]
 pub struct LightsFileError {
@@ -40,7 +44,7 @@ pub(super) fn read_lights(path: &Path) -> Result<Vec<PunctualLight>, LightsFileE
 
 fn read(path: &Path) -> Result<Vec<PunctualLight>, String> {
     let extension = path.extension().and_then(|e| e.to_str()).unwrap_or("").to_ascii_lowercase();
-    if !["json", "toml", "csv"].contains(&extension.as_str()) {
+    if !["json", "toml", "csv", "npy"].contains(&extension.as_str()) {
         return Err(format!("`.{extension}` is no ending of a file of lights"));
     }
     let unreadable = |error: std::io::Error| format!("cannot read the lights: {error}");
@@ -48,16 +52,41 @@ fn read(path: &Path) -> Result<Vec<PunctualLight>, String> {
     if size > MAX_FILE_BYTES {
         return Err(format!("{size} bytes are more than the {MAX_FILE_BYTES} of the largest file of lights"));
     }
+    if extension == "npy" {
+        return array(path, File::open(path).map_err(unreadable)?);
+    }
     let text = fs_err::read_to_string(path).map_err(unreadable)?;
     let lights = match extension.as_str() {
         "json" => list(&serde_json::from_str(&text).map_err(|error| format!("not JSON: {error}"))?)?,
         "toml" => list(&toml::from_str(&text).map_err(|error| format!("not TOML: {}", error.message()))?)?,
         _ => csv(&text)?,
     };
-    match lights.len() > MAX_LIGHTS {
-        true => Err(format!("{} lights are more than {MAX_LIGHTS}", lights.len())),
-        false => Ok(lights),
+    check_count(lights.len() as u64)?;
+    Ok(lights)
+}
+
+fn check_count(count: u64) -> Result<(), String> {
+    match count > MAX_LIGHTS as u64 {
+        true => Err(format!("{count} lights are more than {MAX_LIGHTS}")),
+        false => Ok(()),
     }
+}
+
+fn array(path: &Path, file: File) -> Result<Vec<PunctualLight>, String> {
+    let name = path.file_name().unwrap_or(path.as_os_str()).to_string_lossy();
+    let shapes: [&[Option<u64>]; 2] = [&[None, Some(3)], &[None, Some(6)]];
+    let told = |error: ReadError| error.to_string();
+    let mut reader = ArrayReader::<f32, _>::new(name, BufReader::new(file), &shapes).map_err(told)?;
+    let (count, columns) = (reader.shape()[0], reader.shape()[1] as usize);
+    check_count(count)?;
+    let mut numbers = vec![0.0; count as usize * columns];
+    reader.read(&mut numbers).map_err(told)?;
+    let rows = numbers.chunks(columns).enumerate();
+    rows.map(|(index, row)| {
+        let intensity = if columns == 6 { Vec3::from_slice(&row[3..]) } else { Vec3::ONE };
+        light(Vec3::from_slice(row), intensity).map_err(|reason| format!("light {index}: {reason}"))
+    })
+    .collect()
 }
 
 fn csv(text: &str) -> Result<Vec<PunctualLight>, String> {
@@ -154,6 +183,8 @@ fn light_of(fields: &Map<String, Value>) -> Result<PunctualLight, String> {
 #[cfg(test)]
 mod tests {
     use super::*;
+    use crate::npy;
+    use std::f32::consts::FRAC_PI_4;
 
     fn parse(name: &str, text: &str) -> Result<Vec<PunctualLight>, String> {
         let folder = tempfile::tempdir().unwrap();
@@ -181,12 +212,33 @@ mod tests {
     }
 
     #[test]
+    fn arrays_have_three_or_six_columns() {
+        let folder = tempfile::tempdir().unwrap();
+        let path = folder.path().join("l.npy");
+        let read = |shape: &[usize], numbers: &[f32]| {
+            let mut bytes = Vec::new();
+            npy::write_header::<f32>(&mut bytes, shape).unwrap();
+            npy::write_elements(&mut bytes, numbers).unwrap();
+            fs_err::write(&path, bytes).unwrap();
+            read_lights(&path).map_err(|error| error.to_string())
+        };
+        let white = vec![point_light(Vec3::X, Vec3::ONE), point_light(Vec3::Y, Vec3::ONE)];
+        assert_eq!(read(&[2, 3], &[1.0, 0.0, 0.0, 0.0, 1.0, 0.0]), Ok(white));
+        let red = vec![point_light(Vec3::Y, Vec3::X * 5.0)];
+        assert_eq!(read(&[1, 6], &[0.0, 1.0, 0.0, 5.0, 0.0, 0.0]), Ok(red));
+        assert_eq!(read(&[0, 3], &[]), Ok(Vec::new()));
+        assert!(read(&[1, 4], &[0.0; 4]).unwrap_err().contains("(n, 3) or (n, 6)"));
+        assert!(read(&[1 << 40, 3], &[0.0; 3]).unwrap_err().contains("more than 100000"));
+        assert!(read(&[1, 3], &[f32::NAN; 3]).unwrap_err().contains("light 0"));
+    }
+
+    #[test]
     fn a_direction_makes_a_spot() {
-        let text = r#"[{"position": [0, 5, 0], "direction": [0, -2, 0], "outer_angle": 30, "range": 9}]"#;
+        let text = r#"[{"position": [0, 5, 0], "direction": [0, -2, 0], "outer_angle": 45, "range": 9}]"#;
         let light = parse("l.json", text).unwrap()[0];
         assert_eq!((light.direction, light.range), (Vec3::NEG_Y, 9.0));
         assert!(
-            matches!(light.kind, LightKind::Spot { outer_angle, .. } if (outer_angle - 0.5236).abs() < 1e-4)
+            matches!(light.kind, LightKind::Spot { outer_angle, .. } if (outer_angle - FRAC_PI_4).abs() < 1e-6)
         );
     }
 

@@ -7,13 +7,15 @@
 //!
 //! # Practice
 //! [`scene`] prepares a scene, [`lights`] says where light comes from, [`gbuffer`] finds surfaces by rays on the CPU
-//! or, on a GPU, by [`raster`]; [`image`] asks the method band by band and sums light by [`shade`]; [`methods`] is the
+//! or, on a GPU, by [`raster`]; [`image`] asks the method band by band and sums light by [`shade`]; [`glow`] draws the lights
+//! themselves; [`methods`] is the
 //! one place that makes methods from their names. [`compare`] measures how far two pictures are apart.
 //!
 //! Every picture depends on its inputs alone, not on threads; the G-buffers of CPU and GPU differ in pixels on edges.
 
 pub mod compare;
 pub mod gbuffer;
+pub mod glow;
 pub mod image;
 pub mod lights;
 mod lights_file;

@@ -23,7 +23,7 @@ const C2: f64 = 0.03 * 0.03;
 /// If the slices differ in length, or are no whole rows.
 pub fn ssim(a: &[f32], b: &[f32], width: usize) -> Option<f64> {
     assert_eq!(a.len(), b.len(), "pictures of one size");
-    let height = if width == 0 { 0 } else { a.len() / width };
+    let height = a.len().checked_div(width).unwrap_or(0);
     assert_eq!(width * height, a.len(), "whole rows");
     if width < WINDOW || height < WINDOW {
         return None;
