@@ -25,7 +25,7 @@ pub const DEFAULT_LIGHTS: LightSource = LightSource::Random { count: 256, seed: 
 pub const INTENSITY_PER_SQUARE_RADIUS: f64 = 4.0;
 
 /// Tries for the place of a fountain.
-const FOUNTAIN_TRIES: usize = 24;
+const FOUNTAIN_TRIES: usize = 6;
 /// Height of a fountain as a share of the scene's largest extent, where nothing is above.
 const FOUNTAIN_HEIGHT: f64 = 0.12;
 
@@ -193,7 +193,7 @@ impl<'a> Floors<'a> {
         Self { triangles, areas }
     }
 
-    /// A fountain on a floor; of some places the one with most room above, and rather low than on a roof.
+    /// A fountain on a floor; of some places one with room above, near the middle, and rather low than on a roof.
     fn fountain(
         &self,
         scene: &RenderScene,
@@ -208,7 +208,9 @@ impl<'a> Floors<'a> {
             let foot = self.point(random).unwrap_or((min + max) * 0.5) + DVec3::Y * (scene.extent() * 1e-4);
             let above = reference.intersect(foot, DVec3::Y, f64::INFINITY).map_or(f64::INFINITY, |hit| hit.t);
             let height = most.min(above * 0.8).max(scene.extent() * 1e-3);
-            let score = height - 0.5 * (foot.y - min.y);
+            let aside = (foot - (min + max) * 0.5).with_y(0.0).length() / scene.radius();
+            let roof = (foot.y - min.y) / scene.extent();
+            let score = (height / most).min(0.6) - aside - 2.0 * roof;
             if best.as_ref().is_none_or(|(best, _)| score > *best) {
                 best = Some((score, Fountain { foot, height, hue }));
             }
