@@ -21,7 +21,7 @@ use manyview::render::raster;
 use manyview::render::scene::{RenderScene, SceneError};
 use manyview::visibility::{Visibility, light_words};
 use manyview_cache::atomic::AtomicFile;
-use manyview_pipeline::bake::{BakeOptions, bake_in_memory};
+use manyview_pipeline::bake::{BakeOptions, Progress as _, bake_in_memory};
 use manyview_pipeline::generate::generate;
 use manyview_pipeline::import::{ImportOptions, import};
 use manyview_pipeline::run::RunError;
@@ -427,8 +427,11 @@ fn gbuffer(
 ) -> Result<GBuffer, CliError> {
     let reference = exact.reference();
     let Some(gpu) = gpu else { return Ok(GBuffer::cast(scene, reference, camera, size, progress)?) };
+    let count = reference.triangles().len() as u64;
+    progress.begin("raster", count, "triangles");
     let triangles = raster::triangles(gpu, scene, reference, camera, size)
         .map_err(|error| CliError::new(Exit::Internal, error))?;
+    progress.advance(count);
     Ok(GBuffer::resolve(scene, reference, camera, size, &triangles, progress)?)
 }
 

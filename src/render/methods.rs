@@ -1,6 +1,6 @@
 //! The methods of testing segments by name: the one place that makes them.
 //!
-//! A new method is a variant of [`Method`], a line in [`Method::NAMES`] and an arm in [`visibility`]; if it reads an
+//! A new method is a variant of [`Method`], a line in its list of names and an arm in [`visibility`]; if it reads an
 //! archive, [`Method::needs_archive`] says so.
 
 use super::scene::RenderScene;
