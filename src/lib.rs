@@ -14,6 +14,10 @@ pub mod rays;
 pub mod reference;
 #[cfg(feature = "bake")]
 pub mod render;
+pub mod scene_cpu;
+pub mod rivals;
 pub mod visibility;
 
 pub use archive::{Archive, LoadError};
+pub use gpu::{GpuScene, StreamOptions};
+pub use scene_cpu::CpuScene;

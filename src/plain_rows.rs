@@ -1,7 +1,7 @@
 //! Rows as a method among others, the plain version: one segment after the other, one row each.
 
 use crate::archive::{Archive, LoadError};
-use crate::rays::{DirectionRows, OriginBias, Segment as ExactSegment};
+use crate::rays::paper::{DirectionRows, ExactSegment, OriginBias};
 use crate::visibility::{Segment, Visibility, VisibilityError};
 use glam::DVec3;
 use manyview_shaders::directions::{DirectionFrame, DirectionSet, RowLattice};

@@ -88,13 +88,23 @@ impl<'a> Reference<'a> {
     }
 
     /// For each triangle the index of its mask in [`Self::cutouts`], or [`UNMASKED`].
-    pub fn mask_of(&self) -> &[u32] {
+    pub fn mask_indices(&self) -> &[u32] {
         &self.mask_of
     }
 
-    /// How alpha cuts the scene.
+    /// Index of a triangle's mask in [`Self::cutouts`], or [`UNMASKED`].
+    pub fn mask_of(&self, triangle: u32) -> u32 {
+        self.mask_of[triangle as usize]
+    }
+
+    /// How alpha cuts the triangles.
     pub fn cutouts(&self) -> &'a Cutouts {
         self.cutouts
+    }
+
+    /// The middle of the scene's bounds, metres.
+    pub fn center(&self) -> DVec3 {
+        self.center
     }
 
     /// Whether the surface is there at these weights of a triangle's second and third vertex, or cut out by its alpha.
@@ -187,7 +197,7 @@ pub fn intersect_triangle(
 }
 
 /// Weights in the raster's fixed point, rounded down as it does.
-fn fixed_point(barycentric: [f64; 2]) -> [u32; 2] {
+pub(crate) fn fixed_point(barycentric: [f64; 2]) -> [u32; 2] {
     let one = f64::from(BARYCENTRIC_ONE);
     let b1 = ((barycentric[0] * one) as u32).min(BARYCENTRIC_ONE);
     [b1, ((barycentric[1] * one) as u32).min(BARYCENTRIC_ONE - b1)]

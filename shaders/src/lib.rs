@@ -1,4 +1,5 @@
 //! The GPU contract: what the bake writes and the runtime reads, every WGSL stage and its CPU twin. Knows no GPU API.
+pub mod brickmap;
 pub mod cases;
 pub mod constants;
 pub mod cpu_device;
@@ -10,9 +11,15 @@ pub mod masks;
 pub mod octahedral;
 pub mod raster;
 pub mod rgb9e5;
+pub mod row_bits;
+pub mod row_test;
+pub mod rows_texture;
 pub mod sections;
 pub mod srgb;
 pub mod stages;
 pub mod svo;
+pub mod svo_nodes;
+pub mod testable;
 pub mod trig;
 pub mod types;
+pub mod wide_bvh;

@@ -2,7 +2,7 @@
 
 use manyview::bench::variants::{Detail, variants};
 use manyview::bench::{BenchError, BenchScene, SceneSource, Table, rows, voxels};
-use manyview::rays::OriginBias;
+use manyview::rays::paper::OriginBias;
 use manyview_pipeline::bake;
 use std::path::PathBuf;
 

@@ -71,7 +71,7 @@ pub(crate) struct Options {
     /// light l, 0 where there is no surface; for `compare --light-bits`
     #[arg(long, value_name = "B.npy")]
     light_bits: Option<PathBuf>,
-    /// What finds the surfaces of the pixels; `auto` takes a GPU if it is not a software one
+    /// What finds the surfaces of the pixels and runs the method, if it can run there; `auto` takes a GPU if it is not a software one
     #[arg(long, value_enum, default_value_t = Backend::Auto)]
     backend: Backend,
     /// Seconds into the first animation; without it the rest pose is drawn
@@ -155,7 +155,7 @@ fn draw(options: &Options, formats: &[PictureFormat], progress: &Progress) -> Cl
     let lights = lights_of(options, &scene, &exact)?;
     let camera = camera_of(options, &scene)?;
     cancel::check()?;
-    let gpu = open_gpu(options.backend)?;
+    let gpu = open_gpu(options.backend, options.visibility)?;
     let ingredients =
         Ingredients { scene: &scene, exact: &exact, archive: archive.as_ref(), gpu: gpu.as_ref() };
     let method =
@@ -377,10 +377,11 @@ fn camera_of(options: &Options, scene: &RenderScene) -> Result<Camera, CliError>
     Ok(camera)
 }
 
-fn open_gpu(backend: Backend) -> Result<Option<GpuContext>, CliError> {
+fn open_gpu(backend: Backend, method: Method) -> Result<Option<GpuContext>, CliError> {
     let gpu = || GpuContext::open(&AdapterChoice::from_env());
     match backend {
         Backend::Cpu => Ok(None),
+        _ if method.needs_gpu() => gpu().map(Some).map_err(|error| CliError::new(Exit::BadInput, error)),
         Backend::Gpu => gpu().map(Some).map_err(|error| CliError::new(Exit::BadInput, error)),
         Backend::Auto => Ok(gpu().ok().filter(|gpu| !gpu.is_software())),
     }

@@ -70,7 +70,7 @@ pub fn triangles_on(
     let batch = VisibleBatch {
         count: reference.triangles().len(),
         vertices: &from_eye,
-        mask_of: reference.mask_of(),
+        mask_of: reference.mask_indices(),
         masks: &cutouts.masks,
         planes: &cutouts.planes,
     };

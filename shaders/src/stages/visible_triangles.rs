@@ -1,7 +1,7 @@
 use crate::executor::{CpuBinding, DepthImage};
 use crate::masks::{TriangleMask, UNMASKED};
 use crate::raster::BARYCENTRIC_ONE;
-use crate::types::{EyeTriangle, PackedPlane, ViewParams, mask_passes};
+use crate::types::{EyeTriangle, PackedPlane, ViewParams};
 
 type Vector = [f32; 3];
 
@@ -73,7 +73,7 @@ pub(super) fn twin(counts: [u32; 2], bindings: &mut [CpuBinding], target: &mut D
                 }
                 let weights = weights.map(|weight| (weight * BARYCENTRIC_ONE as f32) as u32);
                 if triangle.mask != UNMASKED
-                    && !mask_passes(masks, planes, alpha.words(), triangle.mask, weights)
+                    && !masks[triangle.mask as usize].passes_packed(planes, alpha.words(), weights)
                 {
                     continue;
                 }
