@@ -14,8 +14,8 @@ pub mod rays;
 pub mod reference;
 #[cfg(feature = "bake")]
 pub mod render;
-pub mod scene_cpu;
 pub mod rivals;
+pub mod scene_cpu;
 pub mod visibility;
 
 pub use archive::{Archive, LoadError};
