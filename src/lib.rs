@@ -3,12 +3,17 @@
 pub mod archive;
 #[cfg(feature = "bake")]
 pub mod bench;
+#[cfg(feature = "bake")]
+pub mod exact;
 pub mod gpu;
 pub mod npy;
+pub mod plain_rows;
 pub mod preview;
 pub mod rays;
 #[cfg(feature = "bake")]
 pub mod reference;
+#[cfg(feature = "bake")]
+pub mod render;
 pub mod rivals;
 pub mod scene_cpu;
 pub mod visibility;

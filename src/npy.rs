@@ -1,23 +1,42 @@
-//! NumPy's array files, version 1.0: what `numpy.load` reads.
+//! NumPy's array files: what `numpy.save` and `numpy.load` write and read.
+//!
+//! Written as version 1.0; read in versions 1.0, 2.0 and 3.0 ([`ArrayReader`]), piece by piece, so that neither takes
+//! more memory than the caller's buffer. Arrays are in C order (last axis fastest) and little-endian.
+
+mod header;
+mod read;
+
+pub use header::{Header, HeaderProblem};
+pub use read::{ArrayReader, ReadError};
 
 use std::io::{self, Write};
 
 /// A type that an array file can hold.
-pub trait Element: bytemuck::NoUninit {
+pub trait Element: bytemuck::Pod {
     /// NumPy's name of the type, byte order included.
     const DESCR: &'static str;
+    /// What people call it.
+    const NAME: &'static str;
 }
 
 impl Element for i32 {
     const DESCR: &'static str = "<i4";
+    const NAME: &'static str = "int32";
+}
+
+impl Element for u32 {
+    const DESCR: &'static str = "<u4";
+    const NAME: &'static str = "uint32";
 }
 
 impl Element for u8 {
     const DESCR: &'static str = "|u1";
+    const NAME: &'static str = "uint8";
 }
 
 impl Element for f32 {
     const DESCR: &'static str = "<f4";
+    const NAME: &'static str = "float32";
 }
 
 /// Writes the header of a C-ordered array of `shape`. The elements follow, last axis fastest.

@@ -11,7 +11,7 @@
 
 use glam::{DVec3, Vec3A};
 use manyview_pipeline::scene::Scene;
-use manyview_pipeline::triangles::{Cutouts, LatticeTriangles};
+use manyview_pipeline::triangles::{Cutouts, LatticeTriangles, TriangleRef};
 use manyview_shaders::masks::{TriangleMask, UNMASKED};
 use manyview_shaders::raster::BARYCENTRIC_ONE;
 use obvhs::BvhBuildParams;
@@ -36,7 +36,11 @@ pub struct Reference<'a> {
     bvh: CwBvh,
     /// Taken from every position before it is rounded to the BVH's `f32`.
     center: DVec3,
+    /// The BVH's rays begin this far before the origin, metres: it passes over boxes that end within 1e-4 of their
+    /// start, however near the surfaces in them are looked for.
+    back_metres: f64,
     triangles: Vec<[DVec3; 3]>,
+    sources: Vec<TriangleRef>,
     mask_of: Vec<u32>,
     cutouts: &'a Cutouts,
 }
@@ -48,11 +52,13 @@ impl<'a> Reference<'a> {
         let (min, max) = scene.bounds().unwrap_or_default();
         let center = (min + max) * 0.5;
         let mut triangles = Vec::with_capacity(drawn.sources.len());
+        let mut sources = Vec::with_capacity(drawn.sources.len());
         let mut mask_of = Vec::with_capacity(drawn.sources.len());
         for (index, source) in drawn.sources.iter().enumerate() {
             let triangle = world_triangle(scene, source.instance, source.triangle);
             if area_normal(&triangle).length_squared() > 0.0 {
                 triangles.push(triangle);
+                sources.push(*source);
                 mask_of.push(drawn.mask_of.get(index).copied().unwrap_or(UNMASKED));
             }
         }
@@ -67,12 +73,23 @@ impl<'a> Reference<'a> {
             true => CwBvh::default(),
             false => build_cwbvh_from_tris(&rounded, BvhBuildParams::fast_build(), &mut Duration::default()),
         };
-        Self { bvh, center, triangles, mask_of, cutouts }
+        let back_metres = 1.0 / 1024.0 + 1e-6 * (max - min).length();
+        Self { bvh, center, back_metres, triangles, sources, mask_of, cutouts }
     }
 
     /// The triangles in world space, metres.
     pub fn triangles(&self) -> &[[DVec3; 3]] {
         &self.triangles
+    }
+
+    /// Which triangle of the scene each of [`Self::triangles`] is.
+    pub fn sources(&self) -> &[TriangleRef] {
+        &self.sources
+    }
+
+    /// For each triangle the index of its mask in [`Self::cutouts`], or [`UNMASKED`].
+    pub fn mask_indices(&self) -> &[u32] {
+        &self.mask_of
     }
 
     /// Index of a triangle's mask in [`Self::cutouts`], or [`UNMASKED`].
@@ -117,16 +134,22 @@ impl<'a> Reference<'a> {
             let Some(hit) = nearer else { return f32::INFINITY };
             closest = Some(hit);
             // Rounded away from the origin, so that an equally near triangle is still looked at.
-            (hit.t as f32).next_up() * TREE_LENGTHS
+            ((hit.t * direction.length() + self.back_metres) * (1.0 + 1e-6)) as f32
         });
         closest
     }
 
+    /// The ray for the BVH: its direction has unit length, since it takes components below 1e-7 for zero.
     fn ray(&self, origin: DVec3, direction: DVec3, t_max: f64) -> Option<Ray> {
-        let usable = direction.is_finite() && origin.is_finite() && direction.length_squared() > 0.0;
-        let nearby = Vec3A::from((origin - self.center).as_vec3());
-        let direction = Vec3A::from(direction.as_vec3());
-        (usable && !self.triangles.is_empty()).then(|| tree_ray(nearby, direction, (t_max as f32).next_up()))
+        let length = direction.length();
+        let usable = length.is_finite() && origin.is_finite() && length > 0.0;
+        if !usable || self.triangles.is_empty() {
+            return None;
+        }
+        let unit = direction / length;
+        let nearby = Vec3A::from((origin - unit * self.back_metres - self.center).as_vec3());
+        let t_max = (t_max * length + self.back_metres) * (1.0 + 1e-6);
+        Some(Ray::new(nearby, Vec3A::from(unit.as_vec3()), 0.0, t_max as f32))
     }
 
     fn mask(&self, triangle: u32) -> Option<&TriangleMask> {
@@ -301,6 +324,21 @@ mod tests {
             hits += usize::from(every.is_some());
         }
         assert!((30..270).contains(&hits), "{hits} of 300 rays hit something");
+    }
+
+    #[test]
+    fn a_surface_next_to_the_origin_is_found_however_long_or_short_the_segment() {
+        let scene = half_a_square();
+        let (drawn, cutouts) = drawn(&scene);
+        let reference = Reference::new(&scene, &drawn, &cutouts);
+        for before in [1e-9, 1e-6, 1e-3] {
+            for behind in [1e-9, 1e-5, 1.0, 1e4] {
+                let at = |z: f64| DVec3::new(1.5, 0.7, z);
+                assert!(reference.is_occluded(at(-before), at(behind)), "{before} {behind}");
+                assert!(reference.is_occluded(at(before), at(-behind)), "{before} {behind}");
+                assert!(!reference.is_occluded(at(before), at(before + behind)), "{before} {behind}");
+            }
+        }
     }
 
     #[test]

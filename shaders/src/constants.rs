@@ -3,6 +3,7 @@
 use crate::brickmap::{BRICKMAP_EMPTY, MIN_COSINE, MIN_DIRECTION};
 use crate::directions::{ROW_LATTICE, ROW_RAW_BITS};
 use crate::masks::{UNMASKED, WrapCode};
+use crate::raster::BARYCENTRIC_ONE;
 use crate::row_test::{LONGEST, MAX_HALVINGS, NEAR_STEPS, NORMAL_DROP, SHORTEST, TABLE_SIDE, TEST_RAW_BITS};
 use crate::testable::{MAX_NORMAL, MIN_LENGTH_SQUARED};
 use crate::wide_bvh::BVH_STACK;
@@ -43,6 +44,7 @@ pub fn wgsl() -> String {
     let mut lines: String =
         integers.iter().map(|(name, value)| format!("const {name}: u32 = {value}u;\n")).collect();
     lines.push_str(&format!("const PEEL_DEPTHS: f32 = {PEEL_DEPTHS}.0;\n"));
+    lines.push_str(&format!("const BARYCENTRIC_ONE: f32 = {BARYCENTRIC_ONE}.0;\n"));
     let floats = [
         ("MIN_LENGTH_SQUARED", MIN_LENGTH_SQUARED),
         ("MAX_NORMAL", MAX_NORMAL),
