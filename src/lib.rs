@@ -17,6 +17,10 @@ pub mod render;
 pub mod rivals;
 pub mod scene_cpu;
 pub mod visibility;
+pub mod wgsl;
+
+#[doc = include_str!("../docs/load-a-bake.md")]
+pub mod guide {}
 
 pub use archive::{Archive, LoadError};
 pub use gpu::{GpuScene, StreamOptions};

@@ -177,7 +177,7 @@ impl GpuContext {
 
     /// Runs `work`, which allocates `bytes`, and gives the first error that wgpu reports meanwhile instead of its
     /// result. `what` names it.
-    pub(super) fn guarded<R>(
+    pub(crate) fn guarded<R>(
         &self,
         what: &'static str,
         bytes: u64,
