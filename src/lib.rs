@@ -6,6 +6,7 @@ pub mod bench;
 #[cfg(feature = "bake")]
 pub mod exact;
 pub mod gpu;
+pub mod instances;
 pub mod npy;
 pub mod plain_rows;
 pub mod preview;
