@@ -9,10 +9,12 @@
 //! or refuses a command gives a [`DeviceError`].
 
 mod context;
+mod deform;
 mod executor;
 mod pipelines;
 
 pub use context::{AdapterChoice, GpuContext, OpenError};
+pub use deform::GpuDeformingRows;
 pub use executor::WgpuExecutor;
 
 use manyview_shaders::device::{DeviceError, PackedFragment, TriangleBatch, VoxelDevice};

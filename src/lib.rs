@@ -3,6 +3,7 @@
 pub mod archive;
 #[cfg(feature = "bake")]
 pub mod bench;
+pub mod deform;
 #[cfg(feature = "bake")]
 pub mod exact;
 pub mod gpu;

@@ -10,6 +10,7 @@ pub mod masks;
 pub mod octahedral;
 pub mod raster;
 pub mod rgb9e5;
+pub mod rotate;
 pub mod sections;
 pub mod srgb;
 pub mod stages;
