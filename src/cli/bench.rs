@@ -1,8 +1,9 @@
 //! `manyview bench`.
 
-use manyview::bench::tables::{self, MethodSource, OurMethods, TableSettings};
+use manyview::bench::tables::{self, DynamicSettings, MethodSource, OurMethods, TableSettings};
 use manyview::bench::variants::{Detail, variants};
 use manyview::bench::{BenchError, BenchScene, RunInfo, SceneSource, Table, rows, voxels};
+use manyview::gpu::{AdapterChoice, GpuContext};
 use manyview::rays::OriginBias;
 use manyview_pipeline::bake;
 use std::path::PathBuf;
@@ -80,6 +81,9 @@ pub(crate) enum TableName {
     /// Table IV: error of rows against sampled directions
     #[value(alias = "IV")]
     Directions,
+    /// Table V: moving and deforming objects
+    #[value(alias = "V")]
+    Dynamic,
     /// Table VI: rays a second against triangles, 100 thousand to 10 million
     #[value(alias = "VI")]
     Throughput,
@@ -93,6 +97,8 @@ const ROW_BITS: [u32; 3] = [5, 6, 7];
 const DIRECTION_STEPS: [u32; 3] = [30, 60, 90];
 /// Stand-ins for the paper's City, Trees and Garden, with their triangle counts.
 const PAPER_SCENES: [&str; 3] = ["city:871000", "forest:626000", "park:416000"];
+/// Triangles of the deforming object of Table V.
+const BEAR_TRIANGLES: u32 = 200_000;
 /// Scenes of Table VI.
 const GROWING_SCENES: [&str; 3] = ["city:100000", "city:1000000", "city:10000000"];
 
@@ -168,6 +174,13 @@ pub(crate) fn run(
     }
     if wanted(TableName::Directions) {
         done(tables::directions(&paper, &DIRECTION_STEPS, methods, &settings, progress)?)?;
+    }
+    if wanted(TableName::Dynamic) {
+        done(tables::dynamic(&DynamicSettings::default(), &settings, progress)?)?;
+        let gpu = GpuContext::open(&AdapterChoice::from_env()).ok();
+        let table =
+            tables::deforming_rows(BEAR_TRIANGLES, &DIRECTION_STEPS, &ROW_BITS[1..], gpu.as_ref(), progress)?;
+        done(table)?;
     }
     if wanted(TableName::Throughput) {
         done(tables::throughput(&scenes_or(&GROWING_SCENES), methods, &settings, progress)?)?;

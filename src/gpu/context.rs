@@ -168,6 +168,12 @@ impl GpuContext {
         Ok(result)
     }
 
+    /// Submits commands and waits until they are done.
+    pub fn finish(&self, encoder: wgpu::CommandEncoder) -> Result<(), DeviceError> {
+        let submission = self.guarded("commands", 0, || self.queue.submit([encoder.finish()]))?;
+        self.wait(&submission)
+    }
+
     /// Waits until a submission is done.
     pub(super) fn wait(&self, submission: &wgpu::SubmissionIndex) -> Result<(), DeviceError> {
         self.check()?;

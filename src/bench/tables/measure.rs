@@ -52,19 +52,30 @@ impl<'a> Measurement<'a> {
         rows: RowsOptions,
     ) -> Result<Measured, BenchError> {
         let method = source.make(name, self.subject, rows)?;
-        let mut found = vec![0; self.truth.len()];
-        let mut seconds = f64::INFINITY;
-        for _ in 0..self.repeats {
-            seconds = seconds.min(timed(&*method.visibility, &self.receivers, &self.lights, &mut found)?);
-        }
+        let (errors, seconds) = self.ask(&*method.visibility)?;
         Ok(Measured {
             method: name.to_owned(),
-            errors: Errors::compare(&self.truth, &found, &self.receivers, &self.lights),
+            errors,
             seconds,
             exact_seconds: self.truth_seconds,
             bytes: method.bytes,
             prepare_seconds: method.prepare_seconds,
         })
+    }
+
+    /// Asks a method: how wrong it is, and its shortest time for all pairs in seconds.
+    pub fn ask(&self, method: &dyn Visibility) -> Result<(Errors, f64), BenchError> {
+        let mut found = vec![0; self.truth.len()];
+        let mut seconds = f64::INFINITY;
+        for _ in 0..self.repeats {
+            seconds = seconds.min(timed(method, &self.receivers, &self.lights, &mut found)?);
+        }
+        Ok((Errors::compare(&self.truth, &found, &self.receivers, &self.lights), seconds))
+    }
+
+    /// Time that exact rays took for all pairs, seconds.
+    pub fn exact_seconds(&self) -> f64 {
+        self.truth_seconds
     }
 }
 

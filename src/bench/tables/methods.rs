@@ -1,7 +1,7 @@
 //! The methods that tables compare.
 
 use super::subject::Subject;
-use crate::bench::BenchError;
+use crate::bench::{BenchError, BenchScene};
 use crate::exact::ExactRays;
 use crate::plain_rows::PlainRows;
 use crate::rays::OriginBias;
@@ -79,7 +79,10 @@ fn boxed<'a>(rows: PlainRows) -> (Box<dyn Visibility + 'a>, u64) {
 
 /// Voxelizes all directions in memory.
 fn plain_rows(subject: &Subject<'_>, options: RowsOptions) -> PlainRows {
-    let scene = subject.scene;
+    plain_rows_of(subject.scene, options)
+}
+
+pub(super) fn plain_rows_of(scene: &BenchScene, options: RowsOptions) -> PlainRows {
     let plan = RowsPlan::new(options, scene.lattice, &scene.row_triangles, &scene.cutouts);
     let words = 1usize << (3 * options.bits - 5);
     let mut rows = vec![0; words * plan.frames.len()];

@@ -6,6 +6,7 @@
 //! | II | [`lights`] | do error and time change with the number of lights? |
 //! | III | [`resolution`] | error against voxels a side |
 //! | IV | [`directions`] | error against sampled directions |
+//! | V | [`dynamic`], [`deforming_rows`] | moving and deforming objects |
 //! | VI | [`throughput`] | rays a second against triangles |
 //!
 //! # Practice
@@ -13,12 +14,15 @@
 //! renderer would. Exact rays ([`crate::exact`]) are the truth, and the time for them is the time of method `bvh`.
 //! Where that would take too long, receivers are thinned out evenly, for all methods alike.
 
+mod actors;
+mod dynamic;
 mod errors;
 mod images;
 mod measure;
 mod methods;
 mod subject;
 
+pub use dynamic::{DynamicSettings, deforming_rows, dynamic};
 pub use errors::Errors;
 pub use images::{directions, lights, resolution, scenes, throughput};
 pub use measure::{Measured, Measurement};
