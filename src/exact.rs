@@ -5,7 +5,7 @@ use crate::visibility::{LightPoint, Receiver, Segment, Visibility, VisibilityErr
 use glam::DVec3;
 use rayon::prelude::*;
 
-/// The exact ray tracer behind [`Visibility`]: method `bvh`.
+/// The exact ray tracer behind [`Visibility`]: method `exact`.
 ///
 /// A segment that starts on a surface does not hit it there: only hits strictly between the ends count, and an origin
 /// with a normal is lifted along it by [`LIFT`] of the scene's diagonal, which is what `f32` coordinates of a surface
@@ -73,7 +73,7 @@ const PIECE: usize = 256;
 
 impl Visibility for ExactRays<'_> {
     fn name(&self) -> &'static str {
-        "bvh"
+        "exact"
     }
 
     fn occluded(&self, segments: &[Segment], occluded: &mut [u8]) -> Result<(), VisibilityError> {

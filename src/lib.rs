@@ -14,6 +14,7 @@ pub mod preview;
 pub mod rays;
 #[cfg(feature = "bake")]
 pub mod reference;
+pub mod rivals;
 pub mod visibility;
 
 pub use archive::{Archive, LoadError};

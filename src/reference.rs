@@ -79,6 +79,21 @@ impl<'a> Reference<'a> {
         &self.triangles
     }
 
+    /// Index of a triangle's mask in [`Self::cutouts`], or [`UNMASKED`].
+    pub fn mask_of(&self, triangle: u32) -> u32 {
+        self.mask_of[triangle as usize]
+    }
+
+    /// How alpha cuts the triangles.
+    pub fn cutouts(&self) -> &'a Cutouts {
+        self.cutouts
+    }
+
+    /// The middle of the scene's bounds, metres.
+    pub fn center(&self) -> DVec3 {
+        self.center
+    }
+
     /// Whether the surface is there at these weights of a triangle's second and third vertex, or cut out by its alpha.
     pub fn exists(&self, triangle: u32, barycentric: [f64; 2]) -> bool {
         self.mask(triangle).is_none_or(|mask| mask.passes(&self.cutouts.planes, fixed_point(barycentric)))
@@ -135,6 +150,19 @@ impl<'a> Reference<'a> {
     }
 }
 
+/// In how many times the given lengths [`tree_ray`] counts.
+pub(crate) const TREE_LENGTHS: f32 = (1 << 20) as f32;
+
+/// A ray through a tree of `obvhs`, whose distances are [`TREE_LENGTHS`] for each length of `direction`: the tree's boxes
+/// are not met nearer than 10⁻⁴, which would leave out what is small and close to the origin. For the same reason the
+/// inverse is exact where `obvhs` would round it to that of 10⁻⁷.
+pub(crate) fn tree_ray(origin: Vec3A, direction: Vec3A, t_max: f32) -> Ray {
+    let direction = direction / TREE_LENGTHS;
+    let inverse = |c: f32| 1.0 / if c < 0.0 { c.min(-1e-30) } else { c.max(1e-30) };
+    let inv_direction = Vec3A::new(inverse(direction.x), inverse(direction.y), inverse(direction.z));
+    Ray { origin, direction, inv_direction, tmin: 0.0, tmax: t_max * TREE_LENGTHS }
+}
+
 /// Twice a triangle's area along its normal.
 pub fn area_normal([a, b, c]: &[DVec3; 3]) -> DVec3 {
     (*b - *a).cross(*c - *a)
@@ -169,7 +197,7 @@ pub fn intersect_triangle(
 }
 
 /// Weights in the raster's fixed point, rounded down as it does.
-fn fixed_point(barycentric: [f64; 2]) -> [u32; 2] {
+pub(crate) fn fixed_point(barycentric: [f64; 2]) -> [u32; 2] {
     let one = f64::from(BARYCENTRIC_ONE);
     let b1 = ((barycentric[0] * one) as u32).min(BARYCENTRIC_ONE);
     [b1, ((barycentric[1] * one) as u32).min(BARYCENTRIC_ONE - b1)]
@@ -238,6 +266,25 @@ mod tests {
         assert!(reference.is_occluded(from, DVec3::new(1.5, 0.5, -1e-6)));
         assert!(!reference.is_occluded(from, from), "a segment of no length");
         assert!(!reference.is_occluded(from, DVec3::NAN));
+    }
+
+    #[test]
+    fn what_is_close_to_a_long_ray_s_origin_is_found() {
+        // A square of 2 mm, 3 mm from the origin, and a target 900 m away; another makes the scene large.
+        let mut scene = half_a_square();
+        scene.materials.clear();
+        let small =
+            DMat4::from_translation(DVec3::new(-1e-3, -1e-3, 3e-3)) * DMat4::from_scale(DVec3::splat(2e-3));
+        scene.instances = vec![
+            Instance { mesh: 0, world_from_object: small },
+            Instance { mesh: 0, world_from_object: DMat4::from_translation(DVec3::splat(900.0)) },
+        ];
+        let (drawn, cutouts) = drawn(&scene);
+        let reference = Reference::new(&scene, &drawn, &cutouts);
+        let target = DVec3::new(1e-5, 1e-5, 900.0);
+        assert!(reference.is_occluded(DVec3::ZERO, target));
+        let hit = reference.intersect(DVec3::ZERO, target, 1.0).unwrap();
+        assert!((hit.t * 900.0 - 3e-3).abs() < 1e-9);
     }
 
     #[test]

@@ -1,7 +1,10 @@
 //! Numbers that Rust and WGSL share, written once: [`wgsl`] emits them as `const` lines.
 
+use crate::brickmap::{BRICKMAP_EMPTY, MIN_COSINE, MIN_DIRECTION};
 use crate::directions::ROW_RAW_BITS;
 use crate::masks::{UNMASKED, WrapCode};
+use crate::testable::MIN_LENGTH_SQUARED;
+use crate::wide_bvh::BVH_STACK;
 
 /// Pixels that one invocation visits for one triangle along one axis; a triangle with more is done by workgroups.
 pub const SMALL_PIXELS: u32 = 256;
@@ -28,9 +31,18 @@ pub fn wgsl() -> String {
         ("LARGE_ROWS", LARGE_ROWS),
         ("PAIRS_PER_INVOCATION", PAIRS_PER_INVOCATION),
         ("MAX_WORKGROUPS", MAX_WORKGROUPS),
+        ("INFINITY_BITS", f32::INFINITY.to_bits()),
+        ("BRICKMAP_EMPTY", BRICKMAP_EMPTY),
+        ("BVH_STACK", BVH_STACK),
     ];
     let mut lines: String =
         integers.iter().map(|(name, value)| format!("const {name}: u32 = {value}u;\n")).collect();
     lines.push_str(&format!("const PEEL_DEPTHS: f32 = {PEEL_DEPTHS}.0;\n"));
+    let floats = [
+        ("MIN_LENGTH_SQUARED", MIN_LENGTH_SQUARED),
+        ("MIN_DIRECTION", MIN_DIRECTION),
+        ("MIN_COSINE", MIN_COSINE),
+    ];
+    lines.extend(floats.iter().map(|(name, value)| format!("const {name}: f32 = {value:e};\n")));
     lines
 }

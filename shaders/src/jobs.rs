@@ -6,15 +6,19 @@
 //! pieces need no care; a piece whose fragments do not fit their list is done again with more room or in halves.
 
 mod fragments;
+mod hidden_lights;
 mod peel;
 mod points;
 mod rows;
+mod segments;
 mod triangles;
 
 pub use fragments::fragments;
+pub use hidden_lights::hidden_lights;
 pub use peel::peel;
 pub use points::rotate_points;
 pub use rows::raster_rows;
+pub use segments::{MethodStage, occluded_segments, segment_distances};
 
 use crate::device::DeviceError;
 use crate::executor::{BufferId, DepthId, Executor};

@@ -1,4 +1,5 @@
 //! The GPU contract: what the bake writes and the runtime reads, every WGSL stage and its CPU twin. Knows no GPU API.
+pub mod brickmap;
 pub mod cases;
 pub mod constants;
 pub mod cpu_device;
@@ -15,5 +16,7 @@ pub mod sections;
 pub mod srgb;
 pub mod stages;
 pub mod svo;
+pub mod testable;
 pub mod trig;
 pub mod types;
+pub mod wide_bvh;

@@ -6,6 +6,7 @@
 //! line and put in front; [`crate::constants`] come before all. A missing file or twin does not compile; tests
 //! compare the table with what the shader compiler sees.
 
+mod lib_rays;
 mod lib_scan;
 
 use crate::executor::{CpuBinding, DepthImage};
@@ -113,4 +114,13 @@ stages! {
         [Uniform, Uniform, Read, Read, Read, Read, Read, Read, Depth] Depth;
     peel_collect(lib_params, lib_raster, lib_views)
         [Uniform, Uniform, Read, Depth, ReadWrite, ReadWrite] Compute { workgroup_size: [8, 8, 1] };
+    brickmap_hidden_lights(lib_rays, lib_hidden_lights, lib_brickmap)
+        [Uniform, Read, Read, ReadWrite, Uniform, Read, Read, Read] Compute { workgroup_size: [64, 1, 1] };
+    brickmap_segments(lib_rays, lib_segments, lib_brickmap)
+        [Uniform, Read, ReadWrite, Uniform, Read, Read, Read] Compute { workgroup_size: [64, 1, 1] };
+    wide_bvh_hidden_lights(lib_rays, lib_hidden_lights, lib_masks, lib_wide_bvh)
+        [Uniform, Read, Read, ReadWrite, Uniform, Read, Read, Read, Read, Read]
+        Compute { workgroup_size: [64, 1, 1] };
+    wide_bvh_segments(lib_rays, lib_segments, lib_masks, lib_wide_bvh)
+        [Uniform, Read, ReadWrite, Uniform, Read, Read, Read, Read, Read] Compute { workgroup_size: [64, 1, 1] };
 }

@@ -92,10 +92,31 @@ impl PackedTriangle {
         if self.mask == UNMASKED {
             return true;
         }
-        let mask = &masks[self.mask as usize];
-        let plane = &planes[mask.plane as usize];
-        plane.alpha(alpha, mask.map.at(weights)) >= mask.threshold
+        masks[self.mask as usize].passes_packed(planes, alpha, weights)
     }
+}
+
+impl TriangleMask {
+    /// [`TriangleMask::passes`] with planes as the GPU has them.
+    #[inline]
+    pub fn passes_packed(&self, planes: &[PackedPlane], alpha: &[u32], weights: [u32; 2]) -> bool {
+        planes[self.plane as usize].alpha(alpha, self.map.at(weights)) >= self.threshold
+    }
+}
+
+/// Planes one after the other, each from a whole word on, and where they lie.
+pub fn pack_planes(planes: &[AlphaPlane]) -> (Vec<PackedPlane>, Vec<u32>) {
+    let mut packed = Vec::with_capacity(planes.len());
+    let mut alpha = Vec::new();
+    for plane in planes {
+        packed.push(PackedPlane::new(plane, alpha.len() as u32 * 4));
+        alpha.extend(plane.alpha.chunks(4).map(|four| {
+            let mut bytes = [0; 4];
+            bytes[..four.len()].copy_from_slice(four);
+            u32::from_le_bytes(bytes)
+        }));
+    }
+    (packed, alpha)
 }
 
 /// Where an alpha plane lies in the buffer of all planes, 20 bytes.
@@ -250,6 +271,76 @@ impl LightPoint {
     }
 }
 
+/// What stages with `lib_hidden_lights.wgsl` need to know, 32 bytes.
+#[repr(C)]
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Pod, Zeroable)]
+pub struct HiddenLightsParams {
+    /// Receivers of the band.
+    pub receivers: u32,
+    /// Lights of the piece.
+    pub lights: u32,
+    /// Words of one receiver.
+    pub light_words: u32,
+    /// Lights that one invocation tests; divides 32.
+    pub lights_per_invocation: u32,
+    /// Iterations that a ray may take.
+    pub steps_per_ray: u32,
+    /// Index of the word that is set to 1 if a ray needs more.
+    pub exhausted_word: u32,
+    /// Zero.
+    pub reserved: [u32; 2],
+}
+
+/// What stages with `lib_segments.wgsl` need to know, 16 bytes.
+#[repr(C)]
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Pod, Zeroable)]
+pub struct SegmentParams {
+    /// Segments of the piece.
+    pub segments: u32,
+    /// 1 for distances, 0 for whether anything is there.
+    pub wants_distance: u32,
+    /// Iterations that a ray may take.
+    pub steps_per_ray: u32,
+    /// Index of the word that is set to 1 if a ray needs more.
+    pub exhausted_word: u32,
+}
+
+/// Where a brickmap lies and how rays enter it, 32 bytes.
+#[repr(C)]
+#[derive(Debug, Clone, Copy, PartialEq, Pod, Zeroable)]
+pub struct BrickmapParams {
+    /// World position of the smallest corner, metres.
+    pub origin: [f32; 3],
+    /// Cells per metre.
+    pub cells_per_metre: f32,
+    /// Cells a side, a power of two, at least 16.
+    pub side: u32,
+    /// log2 of coarse cells a side.
+    pub coarse_bits: u32,
+    /// How far a ray's origin is lifted along its normal, cells.
+    pub normal_cells: f32,
+    /// How far a ray's beginning is skipped, divided by the cosine between ray and normal, cells.
+    pub skip_cells: f32,
+}
+
+/// What the stages that traverse a compressed wide BVH need to know, 32 bytes.
+#[repr(C)]
+#[derive(Debug, Clone, Copy, PartialEq, Pod, Zeroable)]
+pub struct WideBvhParams {
+    /// World position that the tree's coordinates are relative to, metres.
+    pub center: [f32; 3],
+    /// How far a ray's origin is lifted along its normal, metres.
+    pub lift: f32,
+    /// Nodes of the tree.
+    pub nodes: u32,
+    /// Zero.
+    pub reserved_a: u32,
+    /// Zero.
+    pub reserved_b: u32,
+    /// Zero.
+    pub reserved_c: u32,
+}
+
 /// A struct's layout as Rust has it.
 #[derive(Debug)]
 pub struct GpuStruct {
@@ -286,4 +377,12 @@ gpu_structs! {
     DirectionFrame { row_from_lattice, offset }
     TriangleMask { plane, threshold, map, reserved }
     TexelMap { texel, step1, step2, shift }
+    HiddenLightsParams {
+        receivers, lights, light_words, lights_per_invocation, steps_per_ray, exhausted_word, reserved,
+    }
+    Receiver { position, normal }
+    LightPoint { offset, position_weight }
+    SegmentParams { segments, wants_distance, steps_per_ray, exhausted_word }
+    WideBvhParams { center, lift, nodes, reserved_a, reserved_b, reserved_c }
+    BrickmapParams { origin, cells_per_metre, side, coarse_bits, normal_cells, skip_cells }
 }

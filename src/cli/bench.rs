@@ -1,6 +1,6 @@
 //! `manyview bench`.
 
-use manyview::bench::tables::{self, DynamicSettings, MethodSource, OurMethods, TableSettings};
+use manyview::bench::tables::{self, DynamicSettings, OurMethods, TableSettings};
 use manyview::bench::variants::{Detail, variants};
 use manyview::bench::{BenchError, BenchScene, RunInfo, SceneSource, Table, rows, voxels};
 use manyview::gpu::{AdapterChoice, GpuContext};
@@ -89,6 +89,15 @@ pub(crate) enum TableName {
     Throughput,
 }
 
+/// The tables that are measured with all methods.
+const PAPER_TABLES: [TableName; 6] = [
+    TableName::Scenes,
+    TableName::Lights,
+    TableName::Resolution,
+    TableName::Directions,
+    TableName::Dynamic,
+    TableName::Throughput,
+];
 /// Lights of Table II.
 const LIGHTS: [u32; 5] = [512, 1024, 2048, 4096, 10_000];
 /// log2 of voxels a side in Table III.
@@ -145,8 +154,12 @@ pub(crate) fn run(
             }
         }
     }
-    let (methods, adapter) = methods();
-    let methods = &*methods;
+    let gpu = match PAPER_TABLES.iter().any(|&table| wanted(table)) {
+        true => GpuContext::open(&AdapterChoice::from_env()).ok(),
+        false => return Ok(()),
+    };
+    let adapter = gpu.as_ref().map(|context| context.name().to_owned());
+    let methods = &OurMethods { gpu };
     let settings = TableSettings {
         size: args.size,
         lights: args.lights,
@@ -177,20 +190,13 @@ pub(crate) fn run(
     }
     if wanted(TableName::Dynamic) {
         done(tables::dynamic(&DynamicSettings::default(), &settings, progress)?)?;
-        let gpu = GpuContext::open(&AdapterChoice::from_env()).ok();
-        let table =
-            tables::deforming_rows(BEAR_TRIANGLES, &DIRECTION_STEPS, &ROW_BITS[1..], gpu.as_ref(), progress)?;
-        done(table)?;
+        let gpu = methods.gpu.as_ref();
+        done(tables::deforming_rows(BEAR_TRIANGLES, &DIRECTION_STEPS, &ROW_BITS[1..], gpu, progress)?)?;
     }
     if wanted(TableName::Throughput) {
         done(tables::throughput(&scenes_or(&GROWING_SCENES), methods, &settings, progress)?)?;
     }
     Ok(())
-}
-
-/// The methods that tables compare, and the adapter that those on a GPU run on.
-fn methods() -> (Box<dyn MethodSource>, Option<String>) {
-    (Box::new(OurMethods), None)
 }
 
 /// The command as a shell would take it, without the program's folder.

@@ -12,6 +12,8 @@ use manyview::npy::{self, ArrayReader, ReadError};
 use manyview::plain_rows::PlainRows;
 use manyview::rays::OriginBias;
 use manyview::reference::Reference;
+use manyview::rivals::brickmap::{self, BrickmapVisibility};
+use manyview::rivals::bvh::BvhVisibility;
 use manyview::visibility::{Segment, Visibility, VisibilityError};
 use manyview_cache::archive::ArchiveWriter;
 use manyview_cache::atomic::{AtomicFile, AtomicFileError};
@@ -62,8 +64,12 @@ finite, hits nothing. Ends may lie outside the scene.";
 pub(crate) enum MethodName {
     /// The bake's rows: one look-up a segment, approximate
     Rows,
-    /// Exact rays against the scene's triangles
+    /// Marching through the cells of the bake's octree, approximate
+    Brickmap,
+    /// Ray tracing of the scene's triangles, in 32-bit floats
     Bvh,
+    /// Ray tracing of the scene's triangles, in 64-bit floats
+    Exact,
 }
 
 /// What segments are tested against.
@@ -91,17 +97,20 @@ impl Input {
         Ok(Self::Scene { scene: Box::new(BenchScene::load(&source)?), name })
     }
 
-    /// The archive, or a new one of the scene with the default settings, in memory.
-    pub(crate) fn into_archive(self) -> Result<Archive, CliError> {
+    /// The archive, or a new one of the scene with the default settings, in memory; without rows if they are not
+    /// needed.
+    pub(crate) fn into_archive(self, with_rows: bool) -> Result<Archive, CliError> {
         let (scene, name) = match self {
             Self::Archive(archive) => return Ok(archive),
             Self::Scene { scene, name } => (scene, name),
         };
         eprintln!("{name}: baking it in memory with the default settings (see `manyview bake`)");
         let failed = |error| CliError::bad_input(format!("{name}: {error}"));
+        let mut options = BakeOptions::default();
+        options.rows = options.rows.filter(|_| with_rows);
         let progress = Progress::new(Format::Text, cancel::watch());
         let mut writer = ArchiveWriter::in_memory().map_err(|error| failed(error.to_string()))?;
-        let result = bake(&scene.scene, &BakeOptions::default(), None, &mut writer, &progress);
+        let result = bake(&scene.scene, &options, None, &mut writer, &progress);
         progress.finish();
         cancel::check()?;
         result.map_err(|error| failed(error.to_string()))?;
@@ -126,15 +135,23 @@ pub(crate) fn with_method<R>(
     work: impl FnOnce(&dyn Visibility) -> Result<R, CliError>,
 ) -> Result<R, CliError> {
     match name {
-        MethodName::Rows => work(&PlainRows::load(&input.into_archive()?, OriginBias::default())?),
-        MethodName::Bvh => match &input {
+        MethodName::Rows => work(&PlainRows::load(&input.into_archive(true)?, OriginBias::default())?),
+        MethodName::Brickmap => {
+            let svo = input.into_archive(false)?.svo()?;
+            work(&BrickmapVisibility::new(brickmap::from_svo(&svo, u32::MAX, brickmap::DEFAULT_BIAS)))
+        }
+        MethodName::Bvh | MethodName::Exact => match &input {
             Input::Archive(archive) => Err(CliError::usage(format!(
-                "{}: an archive has no triangles, which --method bvh needs: name the scene that it was baked from \
-                 (.glb or .gltf)",
+                "{}: an archive has no triangles, which --method bvh and exact need: name the scene that it was baked \
+                 from (.glb or .gltf)",
                 archive.name()
             ))),
             Input::Scene { scene, .. } => {
-                work(&ExactRays::new(Reference::new(&scene.scene, &scene.row_triangles, &scene.cutouts)))
+                let reference = Reference::new(&scene.scene, &scene.row_triangles, &scene.cutouts);
+                match name {
+                    MethodName::Exact => work(&ExactRays::new(reference)),
+                    _ => work(&BvhVisibility::new(&reference)),
+                }
             }
         },
     }

@@ -6,7 +6,7 @@ use crate::device::{DeviceError, TriangleBatch};
 use crate::executor::{Binding, BufferId, ExecutorLimits, Recording};
 use crate::masks::{AlphaPlane, TriangleMask, UNMASKED};
 use crate::stages::Stage;
-use crate::types::{LargeItem, PackedPlane, PackedTriangle, RasterParams};
+use crate::types::{LargeItem, PackedPlane, PackedTriangle, RasterParams, pack_planes};
 use std::ops::Range;
 
 /// Buffers of a piece, in the order of bindings 2 ..= 5 of the stages that rasterize.
@@ -145,25 +145,13 @@ fn plane_groups(planes: &[AlphaPlane], limit_bytes: u64) -> Result<Vec<PlaneGrou
             let needed_bytes = padded(&planes[end]);
             return Err(DeviceError::TooLarge { what: "an alpha plane", needed_bytes, limit_bytes });
         }
-        groups.push(pack_planes(planes, first..end));
+        let (packed, alpha) = pack_planes(&planes[first..end]);
+        groups.push(PlaneGroup { range: first..end, planes: packed, alpha });
         if end == planes.len() {
             return Ok(groups);
         }
         first = end;
     }
-}
-
-fn pack_planes(planes: &[AlphaPlane], range: Range<usize>) -> PlaneGroup {
-    let mut group = PlaneGroup { range: range.clone(), planes: Vec::new(), alpha: Vec::new() };
-    for plane in &planes[range] {
-        group.planes.push(PackedPlane::new(plane, group.alpha.len() as u32 * 4));
-        group.alpha.extend(plane.alpha.chunks(4).map(|four| {
-            let mut bytes = [0; 4];
-            bytes[..four.len()].copy_from_slice(four);
-            u32::from_le_bytes(bytes)
-        }));
-    }
-    group
 }
 
 /// The two stages that together do all triangles of a piece, and the buffers they need besides the piece's.

@@ -278,14 +278,15 @@ mod tests {
     }
 
     #[test]
-    fn exact_rays_are_never_wrong_and_more_lights_begin_with_fewer() {
+    fn rays_are_hardly_wrong_and_receivers_make_room_for_lights() {
         let source = "city:2000".parse().unwrap();
         let settings = TableSettings { most_pairs: 500, ..settings_of(&["bvh"]) };
-        let table = lights(&source, &[10, 100], &OurMethods, &settings, &Silent).unwrap();
+        let table = lights(&source, &[10, 100], &OurMethods::default(), &settings, &Silent).unwrap();
         assert_eq!(table.rows.len(), 2);
         for (row, receivers) in table.rows.iter().zip([50.0, 5.0]) {
-            assert_eq!(number(&row[column(&table, "eps_v %")]), 0.0);
-            assert_eq!(number(&row[column(&table, "eps_s %")]), 0.0);
+            // Rays in `f32` may pass an edge on its other side.
+            assert!(number(&row[column(&table, "eps_v %")]) <= 0.4);
+            assert!(number(&row[column(&table, "eps_s %")]) <= 0.4);
             assert_eq!(number(&row[column(&table, "receivers")]), receivers);
         }
         assert_eq!(table.plots.len(), 2);
@@ -295,16 +296,29 @@ mod tests {
     fn finer_rows_are_less_wrong() {
         let source = "city:2000".parse().unwrap();
         let sources = std::slice::from_ref(&source);
-        let steps = directions(sources, &[4, 24], &OurMethods, &settings_of(&["rows"]), &Silent).unwrap();
+        let steps =
+            directions(sources, &[4, 24], &OurMethods::default(), &settings_of(&["rows"]), &Silent).unwrap();
         let errors: Vec<_> = steps.rows.iter().map(|row| number(&row[column(&steps, "eps_v %")])).collect();
         assert!(errors[0] > errors[1] + 1.0 && errors[1] > 0.0, "{errors:?}");
         assert_eq!(steps.plots[0].series[0].points.len(), 2);
     }
 
     #[test]
+    fn all_methods_stand_side_by_side() {
+        let sources = ["city:2000".parse().unwrap()];
+        let small = TableSettings { most_pairs: 4000, ..settings_of(&["brickmap", "ism", "bvh"]) };
+        let table = scenes(&sources, &OurMethods::default(), &small, &Silent).unwrap();
+        let errors: Vec<_> = table.rows.iter().map(|row| number(&row[column(&table, "eps_v %")])).collect();
+        assert!(errors[0] > errors[2] && errors[1] > errors[2] && errors[0] < 30.0, "{errors:?}");
+        assert_eq!(table.rows[1][column(&table, "the paper's eps_v %")], Cell::Number(5.9, 1));
+        assert_eq!((table.plots.len(), table.plots[0].series.len()), (2, 3));
+    }
+
+    #[test]
     fn unknown_methods_are_refused_before_any_work() {
         let sources = ["no such file.glb".parse().unwrap()];
-        let error = scenes(&sources, &OurMethods, &settings_of(&["bvh", "guess"]), &Silent).unwrap_err();
+        let error =
+            scenes(&sources, &OurMethods::default(), &settings_of(&["bvh", "guess"]), &Silent).unwrap_err();
         assert!(error.to_string().contains("`guess`; choose of rows, "), "{error}");
     }
 }

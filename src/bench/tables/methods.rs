@@ -2,13 +2,19 @@
 
 use super::subject::Subject;
 use crate::bench::{BenchError, BenchScene};
-use crate::exact::ExactRays;
+use crate::gpu::{GpuContext, WgpuExecutor};
 use crate::plain_rows::PlainRows;
 use crate::rays::OriginBias;
-use crate::reference::Reference;
+use crate::rivals::brickmap::{self, BrickmapVisibility};
+use crate::rivals::bvh::BvhVisibility;
+use crate::rivals::ism::{IsmOptions, IsmVisibility};
+use crate::rivals::wide_bvh::WideBvh;
 use crate::visibility::Visibility;
 use manyview_pipeline::rows::{RowsOptions, RowsPlan};
+use manyview_shaders::brickmap::Brickmap;
+use manyview_shaders::device::DeviceError;
 use manyview_shaders::directions::Fit;
+use manyview_shaders::executor::ExecutorLimits;
 use rayon::prelude::*;
 use std::time::Instant;
 
@@ -29,7 +35,7 @@ pub trait MethodSource: Sync {
 
     /// Makes a method for a subject. `rows` are the settings of methods that work by rows.
     fn make<'a>(
-        &self,
+        &'a self,
         name: &str,
         subject: &'a Subject<'_>,
         rows: RowsOptions,
@@ -37,31 +43,74 @@ pub trait MethodSource: Sync {
 }
 
 /// The methods of this library.
-#[derive(Debug, Clone, Copy, Default)]
-pub struct OurMethods;
+///
+/// | name | what it is |
+/// |---|---|
+/// | `rows` | rows with the settings asked for |
+/// | `rows-cube` | the same in the paper's grid, one cube around the bounding sphere |
+/// | `brickmap` | marching through the octree's cells |
+/// | `ism` | imperfect shadow maps |
+/// | `bvh` | ray tracing with a compressed wide BVH |
+/// | `wgsl-brickmap`, `wgsl-bvh` | these two on a GPU, if there is one |
+#[derive(Debug, Default)]
+pub struct OurMethods {
+    /// Where methods on a GPU run.
+    pub gpu: Option<GpuContext>,
+}
+
+impl OurMethods {
+    fn executor(&self) -> Result<Box<WgpuExecutor<'_>>, DeviceError> {
+        let none = || DeviceError::Failed("there is no GPU to run it on".to_owned());
+        let context = self.gpu.as_ref().ok_or_else(none)?;
+        Ok(Box::new(WgpuExecutor::new(context, ExecutorLimits::DEFAULT)))
+    }
+}
 
 impl MethodSource for OurMethods {
     fn names(&self) -> Vec<&'static str> {
-        vec!["rows", "rows-cube", "bvh"]
+        let mut names = vec!["rows", "rows-cube", "brickmap", "ism", "bvh"];
+        if self.gpu.is_some() {
+            names.extend(["wgsl-brickmap", "wgsl-bvh"]);
+        }
+        names
     }
 
     fn make<'a>(
-        &self,
+        &'a self,
         name: &str,
         subject: &'a Subject<'_>,
         rows: RowsOptions,
     ) -> Result<Method<'a>, BenchError> {
         let begun = Instant::now();
+        let failed =
+            |source: DeviceError| BenchError::Method { method: name.to_owned(), source: source.into() };
+        let reference = subject.judge.reference();
         let (visibility, bytes): (Box<dyn Visibility + 'a>, u64) = match name {
-            "rows" => boxed(plain_rows(subject, rows)),
-            // The paper's grid: one cube around the bounding sphere for all directions.
-            "rows-cube" => boxed(plain_rows(subject, RowsOptions { fit: Fit::Cube, ..rows })),
+            "rows" => boxed(plain_rows_of(subject.scene, rows)),
+            "rows-cube" => boxed(plain_rows_of(subject.scene, RowsOptions { fit: Fit::Cube, ..rows })),
+            "brickmap" => {
+                let map = brickmap_of(subject)?;
+                let bytes = brickmap_bytes(&map);
+                (Box::new(BrickmapVisibility::new(map)), bytes)
+            }
+            "wgsl-brickmap" => {
+                let map = brickmap_of(subject)?;
+                let made = brickmap::on_executor(&map, self.executor().map_err(failed)?).map_err(failed)?;
+                (Box::new(made), brickmap_bytes(&map))
+            }
+            "ism" => {
+                let ism = IsmVisibility::new(reference, IsmOptions::default());
+                (Box::new(ism), 0)
+            }
             "bvh" => {
-                let scene = subject.scene;
-                let reference = Reference::new(&scene.scene, &scene.row_triangles, &scene.cutouts);
-                // A node of 80 bytes for about 3 triangles, and the triangles in f64.
-                let bytes = reference.triangles().len() as u64 * (27 + 72);
-                (Box::new(ExactRays::new(reference)), bytes)
+                // A node of 80 bytes for about three triangles of 48 bytes.
+                let bytes = reference.triangles().len() as u64 * (80 / 3 + 48);
+                (Box::new(BvhVisibility::new(reference)), bytes)
+            }
+            "wgsl-bvh" => {
+                let bvh = WideBvh::new(reference);
+                let made = bvh.on_executor(self.executor().map_err(failed)?).map_err(failed)?;
+                (Box::new(made), bvh.bytes())
             }
             _ => {
                 let known = self.names().join(", ");
@@ -72,16 +121,23 @@ impl MethodSource for OurMethods {
     }
 }
 
+fn brickmap_of(subject: &Subject<'_>) -> Result<Brickmap, BenchError> {
+    let load = |source| BenchError::Load { scene: subject.scene.name.clone(), source };
+    let svo = subject.archive.svo().map_err(load)?;
+    Ok(brickmap::from_svo(&svo, u32::MAX, brickmap::DEFAULT_BIAS))
+}
+
+fn brickmap_bytes(map: &Brickmap) -> u64 {
+    let bytes = size_of_val(&map.coarse[..]) + size_of_val(&map.blocks[..]) + size_of_val(&map.bricks[..]);
+    bytes as u64
+}
+
 fn boxed<'a>(rows: PlainRows) -> (Box<dyn Visibility + 'a>, u64) {
     let bytes = rows.bytes();
     (Box::new(rows), bytes)
 }
 
 /// Voxelizes all directions in memory.
-fn plain_rows(subject: &Subject<'_>, options: RowsOptions) -> PlainRows {
-    plain_rows_of(subject.scene, options)
-}
-
 pub(super) fn plain_rows_of(scene: &BenchScene, options: RowsOptions) -> PlainRows {
     let plan = RowsPlan::new(options, scene.lattice, &scene.row_triangles, &scene.cutouts);
     let words = 1usize << (3 * options.bits - 5);

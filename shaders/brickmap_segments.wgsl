@@ -1,0 +1,5 @@
+// Segments, by marching through a brickmap.
+@compute @workgroup_size(64)
+fn main(@builtin(global_invocation_id) id: vec3<u32>) {
+    test_segment(id);
+}

@@ -1,0 +1,63 @@
+//! Batches over a function that tests one segment, on all threads.
+
+use crate::visibility::light_words;
+use manyview_shaders::testable::testable;
+use manyview_shaders::types::{LightPoint, Receiver, Segment};
+use rayon::prelude::*;
+
+/// Segments that a thread takes at a time.
+const SEGMENTS: usize = 1024;
+/// Receivers that a thread takes at a time.
+const RECEIVERS: usize = 16;
+
+/// [`crate::visibility::Visibility::occluded`].
+pub(super) fn occluded(segments: &[Segment], occluded: &mut [u8], test: impl Fn(&Segment) -> bool + Sync) {
+    assert_eq!(segments.len(), occluded.len(), "one answer for each segment");
+    segments.par_chunks(SEGMENTS).zip(occluded.par_chunks_mut(SEGMENTS)).for_each(|(segments, occluded)| {
+        for (segment, occluded) in segments.iter().zip(occluded) {
+            *occluded = u8::from(testable(segment).is_some_and(|segment| test(&segment)));
+        }
+    });
+}
+
+/// [`crate::visibility::Visibility::distances`].
+pub(super) fn distances(
+    segments: &[Segment],
+    distances: &mut [f32],
+    intersect: impl Fn(&Segment) -> Option<f32> + Sync,
+) {
+    assert_eq!(segments.len(), distances.len(), "one answer for each segment");
+    segments.par_chunks(SEGMENTS).zip(distances.par_chunks_mut(SEGMENTS)).for_each(
+        |(segments, distances)| {
+            for (segment, distance) in segments.iter().zip(distances) {
+                *distance =
+                    testable(segment).and_then(|segment| intersect(&segment)).unwrap_or(f32::INFINITY);
+            }
+        },
+    );
+}
+
+/// [`crate::visibility::Visibility::hidden_lights`].
+pub(super) fn hidden_lights(
+    receivers: &[Receiver],
+    lights: &[LightPoint],
+    hidden: &mut [u32],
+    test: impl Fn(&Segment) -> bool + Sync,
+) {
+    let words = light_words(lights.len());
+    assert_eq!(hidden.len(), receivers.len() * words, "one bit for each receiver and light");
+    if hidden.is_empty() {
+        return;
+    }
+    let bands = receivers.par_chunks(RECEIVERS).zip(hidden.par_chunks_mut(RECEIVERS * words));
+    bands.for_each(|(receivers, hidden)| {
+        for (receiver, hidden) in receivers.iter().zip(hidden.chunks_mut(words)) {
+            for (lights, word) in lights.chunks(32).zip(hidden) {
+                *word = (0..).zip(lights).fold(0, |bits, (bit, light)| {
+                    let segment = testable(&light.segment_from(receiver));
+                    bits | u32::from(segment.is_some_and(|segment| test(&segment))) << bit
+                });
+            }
+        }
+    });
+}
