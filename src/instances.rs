@@ -117,6 +117,9 @@ struct Job {
     scale: f64,
 }
 
+/// Tests jobs of one type by its method.
+type TestJobs<'a> = dyn FnMut(&dyn Visibility, &[Job]) -> Result<(), VisibilityError> + 'a;
+
 impl<'a> InstancedScene<'a> {
     /// Puts instances of objects into a scene.
     pub fn new(kinds: Vec<ObjectType<'a>>, instances: Vec<Instance>) -> Result<Self, InstanceError> {
@@ -214,7 +217,7 @@ impl<'a> InstancedScene<'a> {
         &self,
         segments: &[Segment],
         undecided: &(dyn Fn(usize, f64) -> bool + Sync),
-        test: &mut dyn FnMut(&dyn Visibility, &[Job]) -> Result<(), VisibilityError>,
+        test: &mut TestJobs<'_>,
     ) -> Result<(), VisibilityError> {
         let candidates: Vec<Vec<(f64, u32)>> = segments
             .par_iter()

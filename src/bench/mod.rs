@@ -68,7 +68,7 @@ pub enum BenchError {
         /// The scene's name.
         scene: String,
         /// What is wrong.
-        source: LoadError,
+        source: Box<LoadError>,
     },
     /// No method has this name.
     #[error("there is no method `{name}`; choose of {known}")]

@@ -75,7 +75,7 @@ pub(crate) enum MethodName {
 /// What segments are tested against.
 pub(crate) enum Input {
     /// A bake.
-    Archive(Archive),
+    Archive(Box<Archive>),
     /// Triangles.
     Scene {
         /// The scene.
@@ -90,7 +90,7 @@ impl Input {
     pub(crate) fn open(path: &Path) -> Result<Self, CliError> {
         let ends_like_one = path.extension().is_some_and(|extension| extension == "mvb");
         if ends_like_one || begins_with(path, ARCHIVE_MAGIC) {
-            return Ok(Self::Archive(Archive::open(path)?));
+            return Ok(Self::Archive(Box::new(Archive::open(path)?)));
         }
         let name = path.display().to_string();
         let source: SceneSource = name.parse().map_err(CliError::usage)?;
@@ -101,7 +101,7 @@ impl Input {
     /// needed.
     pub(crate) fn into_archive(self, with_rows: bool) -> Result<Archive, CliError> {
         let (scene, name) = match self {
-            Self::Archive(archive) => return Ok(archive),
+            Self::Archive(archive) => return Ok(*archive),
             Self::Scene { scene, name } => (scene, name),
         };
         eprintln!("{name}: baking it in memory with the default settings (see `manyview bake`)");

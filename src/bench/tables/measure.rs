@@ -93,12 +93,13 @@ fn timed(
 
 impl Measured {
     /// Names of the columns that [`Measured::cells`] fill.
-    pub const COLUMNS: [&'static str; 11] = [
+    pub const COLUMNS: [&'static str; 12] = [
         "method",
         "eps_v %",
         "eps_s %",
         "eps_v of lights in front %",
-        "hidden %",
+        "wrongly hidden %",
+        "hidden in truth %",
         "receivers",
         "ms",
         "million rays a second",
@@ -115,6 +116,7 @@ impl Measured {
             Cell::Number(self.errors.eps_v(), 2),
             Cell::Number(self.errors.eps_s(), 2),
             Cell::Number(self.errors.eps_v_facing(), 2),
+            Cell::percent(self.errors.wrongly_hidden, self.errors.pairs),
             Cell::Number(self.errors.hidden_share(), 1),
             Cell::Count(receivers),
             Cell::Number(self.seconds * 1e3, 1),

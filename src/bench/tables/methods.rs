@@ -122,7 +122,7 @@ impl MethodSource for OurMethods {
 }
 
 fn brickmap_of(subject: &Subject<'_>) -> Result<Brickmap, BenchError> {
-    let load = |source| BenchError::Load { scene: subject.scene.name.clone(), source };
+    let load = |error| BenchError::Load { scene: subject.scene.name.clone(), source: Box::new(error) };
     let svo = subject.archive.svo().map_err(load)?;
     Ok(brickmap::from_svo(&svo, u32::MAX, brickmap::DEFAULT_BIAS))
 }

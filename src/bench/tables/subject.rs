@@ -30,7 +30,7 @@ const CAMERA_LEVELS: u32 = 8;
 impl<'a> Subject<'a> {
     /// Bakes an octree of `levels` levels and looks at the scene with a picture of `size` pixels.
     pub fn new(scene: &'a BenchScene, levels: u32, size: [u32; 2]) -> Result<Self, BenchError> {
-        let load = |source| BenchError::Load { scene: scene.name.clone(), source };
+        let load = |error| BenchError::Load { scene: scene.name.clone(), source: Box::new(error) };
         let archive = bake_octree(scene, levels)?;
         let judge = ExactRays::new(Reference::new(&scene.scene, &scene.row_triangles, &scene.cutouts));
         let (center, half) = (DVec3::from(scene.lattice.center), DVec3::from(scene.lattice.half_extent));
@@ -81,7 +81,8 @@ fn bake_octree(scene: &BenchScene, levels: u32) -> Result<Archive, BenchError> {
     let mut writer = ArchiveWriter::in_memory().map_err(|error| refuse(error.into()))?;
     bake(&scene.scene, &options, None, &mut writer, &Silent).map_err(refuse)?;
     let (bytes, _) = writer.finish().map_err(|error| refuse(error.into()))?;
-    Archive::from_bytes(bytes).map_err(|source| BenchError::Load { scene: scene.name.clone(), source })
+    Archive::from_bytes(bytes)
+        .map_err(|error| BenchError::Load { scene: scene.name.clone(), source: Box::new(error) })
 }
 
 /// The surface point in each pixel of a picture, row by row; pixels of the sky have none.
