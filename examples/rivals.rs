@@ -7,16 +7,18 @@
 
 use anyhow::{Context, Result, bail};
 use glam::DVec3;
-use manyview::Archive;
 use manyview::bench::{BenchScene, Random};
-use manyview::gpu::{AdapterChoice, GpuContext, WgpuExecutor};
+use manyview::gpu::{AdapterChoice, GpuContext, GpuScene, StreamOptions, WgpuExecutor};
 use manyview::preview::{CameraChoice, Scene, choose_camera};
+use manyview::rays::paper::PaperRows;
+use manyview::rays::{RowTester, TestSettings};
 use manyview::reference::{Reference, area_normal};
 use manyview::rivals::brickmap::{self, BrickmapBias, BrickmapVisibility};
 use manyview::rivals::bvh::{BvhVisibility, ExactVisibility};
 use manyview::rivals::ism::{IsmOptions, IsmVisibility};
 use manyview::rivals::wide_bvh::WideBvh;
 use manyview::visibility::{LightPoint, Receiver, Visibility, light_words};
+use manyview::{Archive, CpuScene};
 use manyview_shaders::executor::ExecutorLimits;
 use obvhs::BvhBuildParams;
 use std::time::Instant;
@@ -241,12 +243,25 @@ fn main() -> Result<()> {
         }
         return Ok(());
     }
+    let cpu_scene = CpuScene::load(&archive)?;
+    for (label, settings) in [("rows (CPU)", TestSettings::EXACT), ("rows-fast (CPU)", TestSettings::FAST)] {
+        bench.run(label, &RowTester::of(&cpu_scene).with_settings(settings), 1)?;
+    }
+    bench.run("the paper's rows (CPU, f64)", &PaperRows::new(&cpu_scene), 8)?;
     let ism = IsmVisibility::new(&reference, IsmOptions::default());
     bench.run("ism (CPU)", &ism, 1)?;
     bench.run("bvh (CPU)", &BvhVisibility::new(&reference), 1)?;
     let context = GpuContext::open(&AdapterChoice::from_env());
     if let Ok(context) = &context {
         println!("{}", context.name());
+        let options = StreamOptions::new(3 << 30).with_octree_bytes(0);
+        let scene = GpuScene::stream(context.device(), context.queue(), &archive, options)?;
+        scene.finish()?;
+        for (label, settings) in
+            [("wgsl-rows (GPU)", TestSettings::EXACT), ("wgsl-rows, fast (GPU)", TestSettings::FAST)]
+        {
+            bench.run(label, &manyview::rays::on_gpu(&scene, &settings)?, 1)?;
+        }
     }
     let gpu = || {
         Ok::<_, anyhow::Error>(

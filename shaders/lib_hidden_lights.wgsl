@@ -51,12 +51,14 @@ fn hide_lights(id: vec3<u32>) {
         let light = lights[i];
         let offset = vec3<f32>(light.offset[0], light.offset[1], light.offset[2]);
         let end = offset + light.position_weight * position;
-        let along = end - position;
-        let cosine = along.x * normal.x + along.y * normal.y + along.z * normal.z;
-        let ray = testable(position, end, select(normal, -normal, cosine < 0.0));
+        let ray = testable(position, end, normal);
         if ray.is_testable {
             steps_left = params.steps_per_ray;
-            bits |= select(0u, 1u << (i & 31u), is_hidden(ray.origin, ray.end, ray.normal));
+            let along = end - position;
+            let cosine = along.x * ray.normal.x + along.y * ray.normal.y + along.z * ray.normal.z;
+            // What is not in front of a surface is hidden by it.
+            let is_behind = any(ray.normal != vec3<f32>(0.0)) && !(cosine > 0.0);
+            bits |= select(0u, 1u << (i & 31u), is_behind || is_hidden(ray.origin, ray.end, ray.normal));
             exhausted = exhausted || steps_left == 0u;
         }
     }

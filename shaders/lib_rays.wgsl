@@ -8,7 +8,7 @@ struct Testable {
     origin: vec3<f32>,
     // Not named `target`: that is a reserved word.
     end: vec3<f32>,
-    // Zero where the origin is free or the given normal is no number.
+    // Zero where the origin is free or the given normal is none.
     normal: vec3<f32>,
     is_testable: bool,
 }
@@ -24,5 +24,6 @@ fn testable(origin: vec3<f32>, end: vec3<f32>, normal: vec3<f32>) -> Testable {
     let length_squared = along.x * along.x + along.y * along.y + along.z * along.z;
     let is_testable = is_finite(origin) && is_finite(end) && is_finite(vec3<f32>(length_squared))
         && length_squared > MIN_LENGTH_SQUARED;
-    return Testable(origin, end, select(vec3<f32>(0.0), normal, is_finite(normal)), is_testable);
+    let is_normal = all((bitcast<vec3<u32>>(normal) & vec3<u32>(0x7fffffffu)) <= vec3<u32>(bitcast<u32>(MAX_NORMAL)));
+    return Testable(origin, end, select(vec3<f32>(0.0), normal, is_normal), is_testable);
 }

@@ -7,14 +7,16 @@
 mod error;
 mod layout;
 
-use std::ops::{Bound, RangeBounds};
+use std::ops::{Bound, Range, RangeBounds};
 use std::path::Path;
+use std::sync::Arc;
 
 use bytemuck::{AnyBitPattern, Zeroable};
 use manyview_cache::archive::{Archive as Container, ByteSource, Section};
 use manyview_shaders::directions::{DirectionFrame, DirectionSet, RowLattice};
 use manyview_shaders::sections::{Light, RowsInfo, SceneInfo, SvoInfo, name};
-use manyview_shaders::svo::{Svo, SvoLevel};
+use manyview_shaders::svo::{Svo, SvoError, SvoLevel};
+use rayon::prelude::*;
 
 use error::Broken;
 pub use error::LoadError;
@@ -30,8 +32,11 @@ const DEFAULT_MEMORY_LIMIT_BYTES: u64 = 16 << 30;
 /// println!("{} cells at level 5", coarse.node_count(5));
 /// # Ok::<(), manyview::LoadError>(())
 /// ```
+///
+/// Clones are further handles to the same open archive.
+#[derive(Clone)]
 pub struct Archive {
-    container: Container,
+    container: Arc<Container>,
     scene: SceneInfo,
     svo: SvoInfo,
     nodes_of: Vec<u64>,
@@ -70,6 +75,7 @@ impl Archive {
             Some(info) => Some((info, layout::check_rows(&container, &info).map_err(named)?)),
             None => None,
         };
+        let container = Arc::new(container);
         Ok(Self { container, scene, svo, nodes_of, rows, memory_limit_bytes: DEFAULT_MEMORY_LIMIT_BYTES })
     }
 
@@ -156,6 +162,29 @@ impl Archive {
         Ok(svo)
     }
 
+    /// One level of the octree on its own, with its child masks and coverages unless it is the deepest one. Of the rules
+    /// that [`Svo::validate`] checks, those that concern this level and the number of nodes of the next are checked.
+    pub fn svo_level_alone(&self, level: u32) -> Result<SvoLevel, LoadError> {
+        self.check_item("level", u64::from(level), u64::from(self.svo.levels))?;
+        let bytes = self.svo_bytes(level) - level.checked_sub(1).map_or(0, |above| self.svo_bytes(above));
+        self.check_memory(|| format!("level {level} of the octree"), bytes)?;
+        let leaves = level == self.svo.levels;
+        let content = self.svo_level(level, leaves)?;
+        let broken = |rule, found: u64, expected: u64| {
+            let source = SvoError { level: level as usize, rule, found, expected };
+            Err(LoadError::Octree { archive: self.name().to_owned(), source })
+        };
+        if let Some(at) = content.child_masks.iter().position(|&mask| mask == 0) {
+            return broken("an inner node without children, at index", at as u64, 0);
+        }
+        let children = content.child_masks.iter().map(|mask| u64::from(mask.count_ones())).sum();
+        let expected = self.svo_node_count(level + 1).unwrap_or(0);
+        if children != expected {
+            return broken("children of a level", children, expected);
+        }
+        Ok(content)
+    }
+
     fn svo_level(&self, level: u32, leaves: bool) -> Result<SvoLevel, LoadError> {
         // The size of every section was checked when the archive was opened; none is read that is empty.
         let read = |kind: &str, wanted: bool| match self.container.section(kind, level) {
@@ -220,30 +249,76 @@ impl Archive {
 
     /// The rows of one direction: v by v, u by u, `2^bits` bits along w each. Reads only the chunks that they are in.
     pub fn direction_rows(&self, index: u32) -> Result<Vec<u32>, LoadError> {
-        let info = *self.expect_rows()?;
+        let info = self.expect_rows()?;
         self.check_item("direction", u64::from(index), u64::from(info.directions) - 1)?;
-        let section = self.container.expect_section(name::ROWS_BITS, index / info.block_directions)?;
-        let start = u64::from(index % info.block_directions) * info.direction_bytes() as u64;
-        let bytes = self.read_range(section, start, info.direction_bytes())?;
-        Ok(words(&bytes))
+        self.rows(index..index + 1)
     }
 
-    fn read_range(&self, section: &Section, start: u64, bytes: usize) -> Result<Vec<u8>, LoadError> {
-        let end = start + bytes as u64;
-        let mut content = Vec::with_capacity(bytes);
-        let mut chunk = Vec::new();
-        let mut chunk_start = 0;
-        for number in section.chunks.clone() {
-            let chunk_end = chunk_start + u64::from(self.container.chunks()[number as usize].raw_bytes);
-            if chunk_start < end && start < chunk_end {
-                self.container.read_chunk(number, &mut chunk)?;
-                let from = start.saturating_sub(chunk_start) as usize;
-                let to = (end.min(chunk_end) - chunk_start) as usize;
-                content.extend_from_slice(&chunk[from..to]);
-            }
-            chunk_start = chunk_end;
+    /// The rows of some directions, one after the other, as [`direction_rows`](Self::direction_rows) has them each.
+    pub fn rows(&self, directions: Range<u32>) -> Result<Vec<u32>, LoadError> {
+        let info = self.expect_rows()?;
+        let bytes =
+            u64::from(directions.end.saturating_sub(directions.start)) * info.direction_bytes() as u64;
+        let what = || format!("the rows of {} directions", directions.len());
+        self.check_memory(what, bytes)?;
+        let out_of_memory =
+            || LoadError::OutOfMemory { archive: self.name().to_owned(), what: what(), needed_bytes: bytes };
+        let words = usize::try_from(bytes / 4).map_err(|_| out_of_memory())?;
+        // Allocating zeros aborts where it fails; this, which is freed again, does not.
+        Vec::<u32>::new().try_reserve_exact(words).map_err(|_| out_of_memory())?;
+        let mut rows = vec![0; words];
+        self.read_rows_into_zeros(directions, &mut rows)?;
+        Ok(rows)
+    }
+
+    /// As [`rows`](Self::rows), into memory of the caller that is all zero. Chunks are read, checked and decoded in
+    /// parallel, each straight to its place if it lies in the range as a whole; zeros are not written. After an error
+    /// the content is undefined.
+    ///
+    /// # Panics
+    /// If `zeros` is not as large as the rows of these directions.
+    pub fn read_rows_into_zeros(&self, directions: Range<u32>, zeros: &mut [u32]) -> Result<(), LoadError> {
+        let info = *self.expect_rows()?;
+        let (start, end) =
+            (u64::from(directions.start), u64::from(directions.end).max(directions.start.into()));
+        if start < end {
+            self.check_item("direction", end - 1, u64::from(info.directions) - 1)?;
         }
-        Ok(content)
+        let direction_bytes = info.direction_bytes() as u64;
+        assert_eq!(zeros.len() as u64 * 4, (end - start) * direction_bytes, "words of the directions");
+        let mut rest: &mut [u8] = bytemuck::cast_slice_mut(zeros);
+        let mut jobs = Vec::new();
+        let block_directions = u64::from(info.block_directions);
+        for block in start / block_directions..end.div_ceil(block_directions).max(start / block_directions) {
+            let section = self.container.expect_section(name::ROWS_BITS, block as u32)?;
+            let mut chunk_start = block * block_directions * direction_bytes;
+            for number in section.chunks.clone() {
+                let raw_bytes = self.container.chunks()[number as usize].raw_bytes;
+                let chunk_end = chunk_start + u64::from(raw_bytes);
+                let from = chunk_start.max(start * direction_bytes);
+                let to = chunk_end.min(end * direction_bytes);
+                if from < to {
+                    let (place, behind) = rest.split_at_mut((to - from) as usize);
+                    rest = behind;
+                    jobs.push((number, (from - chunk_start) as usize, raw_bytes as usize, place));
+                }
+                chunk_start = chunk_end;
+            }
+        }
+        // All jobs end before the first error in file order is returned: the same error for any thread count.
+        let results: Vec<Result<(), LoadError>> = jobs
+            .into_par_iter()
+            .map(|(number, from, raw_bytes, place)| {
+                if place.len() == raw_bytes {
+                    return Ok(self.container.read_chunk_into_zeros(number, place)?);
+                }
+                let mut chunk = Vec::new();
+                self.container.read_chunk(number, &mut chunk)?;
+                place.copy_from_slice(&chunk[from..from + place.len()]);
+                Ok(())
+            })
+            .collect();
+        results.into_iter().collect()
     }
 
     /// A section as little-endian values of one type. The section's size is a multiple of theirs, as checked before.
@@ -290,10 +365,6 @@ fn read_head<T: bytemuck::Pod>(container: &Container, section: &Section) -> Resu
     Broken::unless_equal(section.id, "bytes of the section", expected, section.raw_bytes)
         .map_err(|broken| broken.in_archive(container.name()))?;
     Ok(bytemuck::pod_read_unaligned(&container.read_section(section)?))
-}
-
-fn words(bytes: &[u8]) -> Vec<u32> {
-    bytes.as_chunks().0.iter().map(|&word| u32::from_le_bytes(word)).collect()
 }
 
 // Structs and words are read in place: on a big-endian machine their bytes would have to be swapped first.

@@ -3,19 +3,29 @@
 //! # Practice
 //! [`GpuContext`] is a wgpu device with its pipelines, opened by [`GpuContext::open`] or taken from a caller who has
 //! one. [`WgpuExecutor`] runs [`Recording`](manyview_shaders::executor::Recording)s on it; every job makes its own and
-//! drops it. [`GpuDevice`] is the bake's backend.
+//! drops it. [`GpuDevice`] is the bake's backend. [`GpuScene`] is a bake streamed to a device.
 //!
 //! Nothing here asks for more than WebGPU's default limits, and nothing panics: a device that is lost, out of memory
 //! or refuses a command gives a [`DeviceError`].
 
+#[cfg(not(target_arch = "wasm32"))]
+mod background;
 mod context;
 mod deform;
 mod executor;
 mod pipelines;
+mod plan;
+mod refine;
+mod resident;
+pub mod scene;
+mod stream;
 
+#[cfg(not(target_arch = "wasm32"))]
+pub use background::BackgroundRefinement;
 pub use context::{AdapterChoice, GpuContext, OpenError};
 pub use deform::GpuDeformingRows;
 pub use executor::WgpuExecutor;
+pub use scene::{GpuScene, Progress, StreamError, StreamOptions};
 
 use manyview_shaders::device::{DeviceError, PackedFragment, TriangleBatch, VoxelDevice};
 use manyview_shaders::directions::DirectionFrame;

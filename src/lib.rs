@@ -15,6 +15,9 @@ pub mod rays;
 #[cfg(feature = "bake")]
 pub mod reference;
 pub mod rivals;
+pub mod scene_cpu;
 pub mod visibility;
 
 pub use archive::{Archive, LoadError};
+pub use gpu::{GpuScene, StreamOptions};
+pub use scene_cpu::CpuScene;

@@ -15,6 +15,5 @@ pub mod bvh;
 #[cfg(feature = "bake")]
 pub mod ism;
 mod parallel;
-pub mod stage;
 #[cfg(feature = "bake")]
 pub mod wide_bvh;

@@ -1,9 +1,10 @@
 //! Numbers that Rust and WGSL share, written once: [`wgsl`] emits them as `const` lines.
 
 use crate::brickmap::{BRICKMAP_EMPTY, MIN_COSINE, MIN_DIRECTION};
-use crate::directions::ROW_RAW_BITS;
+use crate::directions::{ROW_LATTICE, ROW_RAW_BITS};
 use crate::masks::{UNMASKED, WrapCode};
-use crate::testable::MIN_LENGTH_SQUARED;
+use crate::row_test::{LONGEST, MAX_HALVINGS, NEAR_STEPS, NORMAL_STEPS, SHORTEST, TABLE_SIDE, TEST_RAW_BITS};
+use crate::testable::{MAX_NORMAL, MIN_LENGTH_SQUARED};
 use crate::wide_bvh::BVH_STACK;
 
 /// Pixels that one invocation visits for one triangle along one axis; a triangle with more is done by workgroups.
@@ -31,6 +32,9 @@ pub fn wgsl() -> String {
         ("LARGE_ROWS", LARGE_ROWS),
         ("PAIRS_PER_INVOCATION", PAIRS_PER_INVOCATION),
         ("MAX_WORKGROUPS", MAX_WORKGROUPS),
+        ("TEST_RAW_BITS", TEST_RAW_BITS),
+        ("TABLE_SIDE", TABLE_SIDE),
+        ("MAX_HALVINGS", MAX_HALVINGS),
         ("INFINITY_BITS", f32::INFINITY.to_bits()),
         ("BRICKMAP_EMPTY", BRICKMAP_EMPTY),
         ("BVH_STACK", BVH_STACK),
@@ -40,6 +44,12 @@ pub fn wgsl() -> String {
     lines.push_str(&format!("const PEEL_DEPTHS: f32 = {PEEL_DEPTHS}.0;\n"));
     let floats = [
         ("MIN_LENGTH_SQUARED", MIN_LENGTH_SQUARED),
+        ("MAX_NORMAL", MAX_NORMAL),
+        ("ROW_LATTICE", ROW_LATTICE as f32),
+        ("NEAR_STEPS", NEAR_STEPS),
+        ("NORMAL_STEPS", NORMAL_STEPS),
+        ("LONGEST", LONGEST),
+        ("SHORTEST", SHORTEST),
         ("MIN_DIRECTION", MIN_DIRECTION),
         ("MIN_COSINE", MIN_COSINE),
     ];

@@ -4,9 +4,11 @@
 //! never sees a GPU API: [`CpuExecutor`] runs the twin of every stage, another executor the shaders.
 
 use crate::device::DeviceError;
+use crate::rows_texture::RowsImage;
 use crate::stages::{BindingKind, Kind, Stage};
 use bytemuck::Pod;
 use std::collections::BTreeMap;
+use std::sync::Arc;
 
 /// A buffer of 32-bit words on an executor.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, PartialOrd, Ord)]
@@ -16,6 +18,10 @@ pub struct BufferId(pub u32);
 #[derive(Debug, Clone, Copy, PartialEq, Eq, PartialOrd, Ord)]
 pub struct DepthId(pub u32);
 
+/// A rows texture ([`crate::rows_texture`]) on an executor.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, PartialOrd, Ord)]
+pub struct RowsId(pub u32);
+
 /// What a stage is given.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub enum Binding {
@@ -23,6 +29,14 @@ pub enum Binding {
     Buffer(BufferId),
     /// A depth image to read.
     Depth(DepthId),
+    /// A rows texture to read.
+    Rows(RowsId),
+}
+
+impl From<RowsId> for Binding {
+    fn from(id: RowsId) -> Self {
+        Binding::Rows(id)
+    }
 }
 
 impl From<BufferId> for Binding {
@@ -198,8 +212,12 @@ impl DepthImage {
 pub enum CpuBinding<'a> {
     /// A buffer.
     Words(&'a mut Vec<u32>),
+    /// A buffer that others use too, to read.
+    Shared(&'a [u32]),
     /// A depth image.
     Depth(&'a DepthImage),
+    /// A rows texture.
+    Rows(&'a RowsImage),
 }
 
 impl CpuBinding<'_> {
@@ -219,7 +237,8 @@ impl CpuBinding<'_> {
     pub fn words(&self) -> &[u32] {
         match self {
             CpuBinding::Words(words) => words,
-            CpuBinding::Depth(_) => panic!("the stage table says that this binding is a buffer"),
+            CpuBinding::Shared(words) => words,
+            _ => panic!("the stage table says that this binding is a buffer"),
         }
     }
 
@@ -227,7 +246,8 @@ impl CpuBinding<'_> {
     pub fn words_mut(&mut self) -> &mut [u32] {
         match self {
             CpuBinding::Words(words) => words,
-            CpuBinding::Depth(_) => panic!("the stage table says that this binding is a buffer"),
+            CpuBinding::Shared(_) => panic!("a shared buffer is only read"),
+            _ => panic!("the stage table says that this binding is a buffer"),
         }
     }
 
@@ -235,7 +255,15 @@ impl CpuBinding<'_> {
     pub fn depth(&self) -> &DepthImage {
         match self {
             CpuBinding::Depth(image) => image,
-            CpuBinding::Words(_) => panic!("the stage table says that this binding is a depth image"),
+            _ => panic!("the stage table says that this binding is a depth image"),
+        }
+    }
+
+    /// The rows texture.
+    pub fn rows(&self) -> &RowsImage {
+        match self {
+            CpuBinding::Rows(image) => image,
+            _ => panic!("the stage table says that this binding is a rows texture"),
         }
     }
 }
@@ -245,7 +273,9 @@ impl CpuBinding<'_> {
 pub struct CpuExecutor {
     limits: ExecutorLimits,
     buffers: BTreeMap<BufferId, Vec<u32>>,
+    shared: BTreeMap<BufferId, Arc<Vec<u32>>>,
     images: BTreeMap<DepthId, DepthImage>,
+    rows: BTreeMap<RowsId, RowsImage>,
     next_id: u32,
 }
 
@@ -258,7 +288,29 @@ impl Default for CpuExecutor {
 impl CpuExecutor {
     /// An executor that pretends to have these limits.
     pub fn new(limits: ExecutorLimits) -> Self {
-        Self { limits, buffers: BTreeMap::new(), images: BTreeMap::new(), next_id: 0 }
+        Self {
+            limits,
+            buffers: BTreeMap::new(),
+            shared: BTreeMap::new(),
+            images: BTreeMap::new(),
+            rows: BTreeMap::new(),
+            next_id: 0,
+        }
+    }
+
+    /// Gives stages words to read that live elsewhere too. They are not copied; uploading to them, clearing them or
+    /// binding them to be written is a mistake that panics.
+    pub fn share_buffer(&mut self, words: Arc<Vec<u32>>) -> BufferId {
+        let id = BufferId(self.next_id());
+        self.shared.insert(id, words);
+        id
+    }
+
+    /// Gives stages a rows texture, whose words live elsewhere too and are not copied.
+    pub fn share_rows(&mut self, rows: RowsImage) -> RowsId {
+        let id = RowsId(self.next_id());
+        self.rows.insert(id, rows);
+        id
     }
 
     fn next_id(&mut self) -> u32 {
@@ -276,21 +328,29 @@ impl CpuExecutor {
         let mut taken: Vec<Vec<u32>> = bindings
             .iter()
             .map(|binding| match binding {
-                Binding::Buffer(id) => std::mem::take(self.buffers.get_mut(id).expect("a live buffer")),
-                Binding::Depth(_) => Vec::new(),
+                Binding::Buffer(id) if !self.shared.contains_key(id) => {
+                    std::mem::take(self.buffers.get_mut(id).expect("a live buffer"))
+                }
+                _ => Vec::new(),
             })
             .collect();
         let mut given: Vec<CpuBinding> = bindings
             .iter()
             .zip(&mut taken)
             .map(|(binding, words)| match binding {
-                Binding::Buffer(_) => CpuBinding::Words(words),
+                Binding::Buffer(id) => match self.shared.get(id) {
+                    Some(shared) => CpuBinding::Shared(shared),
+                    None => CpuBinding::Words(words),
+                },
                 Binding::Depth(id) => CpuBinding::Depth(&self.images[id]),
+                Binding::Rows(id) => CpuBinding::Rows(&self.rows[id]),
             })
             .collect();
         let result = run(&mut given);
         for (binding, words) in bindings.iter().zip(taken) {
-            if let Binding::Buffer(id) = binding {
+            if let Binding::Buffer(id) = binding
+                && !self.shared.contains_key(id)
+            {
                 self.buffers.insert(*id, words);
             }
         }
@@ -302,7 +362,11 @@ impl CpuExecutor {
 pub fn check_bindings(stage: &Stage, bindings: &[Binding]) {
     assert_eq!(stage.bindings.len(), bindings.len(), "bindings of `{}`", stage.name);
     for (i, (kind, binding)) in stage.bindings.iter().zip(bindings).enumerate() {
-        let fits = matches!(kind, BindingKind::Depth) == matches!(binding, Binding::Depth(_));
+        let fits = match binding {
+            Binding::Buffer(_) => !matches!(kind, BindingKind::Depth | BindingKind::Rows),
+            Binding::Depth(_) => matches!(kind, BindingKind::Depth),
+            Binding::Rows(_) => matches!(kind, BindingKind::Rows),
+        };
         assert!(fits, "binding {i} of `{}` is {kind:?}, not {binding:?}", stage.name);
         assert!(!bindings[..i].contains(binding), "binding {i} of `{}` is bound twice", stage.name);
     }
@@ -331,6 +395,7 @@ impl Executor for CpuExecutor {
 
     fn release(&mut self, buffer: BufferId) {
         self.buffers.remove(&buffer);
+        self.shared.remove(&buffer);
     }
 
     fn release_depth(&mut self, depth: DepthId) {
@@ -364,10 +429,65 @@ impl Executor for CpuExecutor {
                     self.images.insert(*target, image);
                 }
                 Command::Download { buffer, words } => {
-                    downloads.push(self.buffers[buffer][..*words].to_vec());
+                    let shared = self.shared.get(buffer).map(|shared| &shared[..]);
+                    let content = shared.unwrap_or_else(|| &self.buffers[buffer]);
+                    downloads.push(content[..*words].to_vec());
                 }
             }
         }
         Ok(downloads)
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::rows_texture::RowsTexture;
+
+    fn twin(_: [u32; 3], bindings: &mut [CpuBinding]) {
+        let [rows, list, out] = bindings else { unreachable!("checked against the table") };
+        let layout = *rows.rows().layout();
+        for (i, &direction) in list.words().iter().enumerate() {
+            out.words_mut()[i] = rows.rows().texel(layout.tile_origin(direction))[0];
+        }
+    }
+
+    const STAGE: Stage = Stage {
+        name: "first_words",
+        bindings: &[BindingKind::Rows, BindingKind::Read, BindingKind::ReadWrite],
+        kind: Kind::Compute { workgroup_size: [1; 3], twin },
+        files: &[],
+    };
+
+    #[test]
+    fn what_is_shared_is_read_in_place() {
+        static STAGE_REF: &Stage = &STAGE;
+        let layout = RowsTexture::new(5, 3).unwrap();
+        let words = layout.words_a_direction();
+        let rows = Arc::new((0..3 * words).map(|i| i as u32).collect::<Vec<u32>>());
+        let list = Arc::new(vec![2, 0, 1]);
+        let mut executor = CpuExecutor::default();
+        let texture = executor.share_rows(RowsImage::new(layout, Arc::clone(&rows)));
+        let shared = executor.share_buffer(Arc::clone(&list));
+        let out = executor.buffer("first words", 12).unwrap();
+        for _ in 0..2 {
+            let mut recording = Recording::new();
+            recording.dispatch(STAGE_REF, [1; 3], &[texture.into(), shared.into(), out.into()]);
+            recording.download(out, 3);
+            recording.download(shared, 3);
+            let words = words as u32;
+            let found = executor.run(&recording).unwrap();
+            assert_eq!(found, [vec![2 * words, 0, words], vec![2, 0, 1]]);
+        }
+        executor.release(shared);
+        drop(executor);
+        assert_eq!(Arc::strong_count(&rows), 1);
+        assert_eq!(Arc::strong_count(&list), 1);
+    }
+
+    #[test]
+    #[should_panic(expected = "binding 0 of `first_words` is Rows")]
+    fn a_buffer_is_no_rows_texture() {
+        check_bindings(&STAGE, &[BufferId(1).into(), BufferId(2).into(), BufferId(3).into()]);
     }
 }

@@ -22,6 +22,8 @@ pub enum BindingKind {
     ReadWrite,
     /// A depth image to read.
     Depth,
+    /// The rows of all directions to read ([`crate::rows_texture`]): a `texture_2d_array<u32>`.
+    Rows,
 }
 
 /// The CPU twin of a compute stage, given the number of workgroups along each axis.
@@ -118,6 +120,10 @@ stages! {
         [Uniform, Read, Read, ReadWrite, Uniform, Read, Read, Read] Compute { workgroup_size: [64, 1, 1] };
     brickmap_segments(lib_rays, lib_segments, lib_brickmap)
         [Uniform, Read, ReadWrite, Uniform, Read, Read, Read] Compute { workgroup_size: [64, 1, 1] };
+    rows_hidden_lights(lib_rays, lib_hidden_lights, lib_rows)
+        [Uniform, Read, Read, ReadWrite, Uniform, Read, Read, Read, Rows] Compute { workgroup_size: [64, 1, 1] };
+    rows_segments(lib_rays, lib_segments, lib_rows)
+        [Uniform, Read, ReadWrite, Uniform, Read, Read, Read, Rows] Compute { workgroup_size: [64, 1, 1] };
     wide_bvh_hidden_lights(lib_rays, lib_hidden_lights, lib_masks, lib_wide_bvh)
         [Uniform, Read, Read, ReadWrite, Uniform, Read, Read, Read, Read, Read]
         Compute { workgroup_size: [64, 1, 1] };

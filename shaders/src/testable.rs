@@ -1,13 +1,26 @@
 //! Which segments can be tested at all: the rules of [`Segment`]s that are no segments, the same for every method.
 
+use crate::row_test::all_within;
 use crate::types::Segment;
 
 /// The shortest segment that is tested, metres squared: below it a square is no longer exact.
 pub const MIN_LENGTH_SQUARED: f32 = 1e-30;
 
+/// Coordinates of unit normals are at most that, with room for rounding.
+pub const MAX_NORMAL: f32 = 2.0;
+
+/// Whether a [`testable`] segment's target is not in front of the surface that its origin is on.
+#[inline]
+pub fn is_behind(segment: &Segment) -> bool {
+    let along = [0, 1, 2].map(|i| segment.target[i] - segment.origin[i]);
+    let n = segment.normal;
+    // Written so that nothing but a positive cosine is in front.
+    n != [0.0; 3] && !(along[0] * n[0] + along[1] * n[1] + along[2] * n[2] > 0.0)
+}
+
 /// The segment as methods take it, or `None` if nothing can be between its ends: a coordinate is not finite, the ends
-/// are one point (or closer than 10⁻¹⁵ m), or farther apart than an `f32` can square (10¹⁹ m). A normal that is not
-/// finite counts as none.
+/// are one point (or closer than 10⁻¹⁵ m), or farther apart than an `f32` can square (10¹⁹ m). A normal with a
+/// coordinate that is not finite or beyond [`MAX_NORMAL`] counts as none.
 #[inline]
 pub fn testable(segment: &Segment) -> Option<Segment> {
     let finite = |v: &[f32; 3]| v.iter().all(|c| c.is_finite());
@@ -17,7 +30,7 @@ pub fn testable(segment: &Segment) -> Option<Segment> {
         && finite(&segment.target)
         && length_squared.is_finite()
         && length_squared > MIN_LENGTH_SQUARED;
-    let normal = if finite(&segment.normal) { segment.normal } else { [0.0; 3] };
+    let normal = if all_within(segment.normal, MAX_NORMAL) { segment.normal } else { [0.0; 3] };
     usable.then_some(Segment { normal, ..*segment })
 }
 

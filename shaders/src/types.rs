@@ -5,6 +5,8 @@ use crate::device::PackedFragment;
 use crate::directions::DirectionFrame;
 use crate::masks::{AlphaPlane, TexelMap, TriangleMask, UNMASKED, WrapCode, wrap_texel};
 use crate::raster::{Grid, VoxelBox};
+use crate::row_test::{RowTestParams, TestFrame};
+use crate::testable::{is_behind, testable};
 use bytemuck::{Pod, Zeroable};
 use std::mem::offset_of;
 
@@ -260,14 +262,17 @@ impl LightPoint {
         Self { offset: direction.map(|c| -c * scene_diameter), position_weight: 1.0 }
     }
 
-    /// The segment from a receiver to this light. The normal is turned to the light's side, so that a surface seen
-    /// from behind is tested on the side that the light could reach.
+    /// The segment from a receiver to this light.
     #[inline]
     pub fn segment_from(&self, receiver: &Receiver) -> Segment {
         let target = [0, 1, 2].map(|i| self.offset[i] + self.position_weight * receiver.position[i]);
-        let cosine: f32 = (0..3).map(|i| (target[i] - receiver.position[i]) * receiver.normal[i]).sum();
-        let sign = if cosine < 0.0 { -1.0 } else { 1.0 };
-        Segment { origin: receiver.position, target, normal: receiver.normal.map(|c| c * sign) }
+        Segment { origin: receiver.position, target, normal: receiver.normal }
+    }
+
+    /// Whether the receiver's own surface hides this light: it is not in front of it.
+    #[inline]
+    pub fn is_behind(&self, receiver: &Receiver) -> bool {
+        testable(&self.segment_from(receiver)).is_some_and(|segment| is_behind(&segment))
     }
 }
 
@@ -364,6 +369,8 @@ macro_rules! gpu_structs {
 }
 
 gpu_structs! {
+    RowTestParams { center, bits, steps_per_metre, normal_quarter, skip, split, consensus, zero }
+    TestFrame { raw_from_lattice, offset, voxel_from_world_normal, corner }
     RasterParams {
         clip_min, grid_bits, clip_max, sub_bits, bit_stride, direction_stride, triangles, directions, capacity, reserved,
     }

@@ -3,9 +3,12 @@
 use manyview_shaders::stages::{BindingKind, Kind, STAGES, Stage};
 use manyview_shaders::types::GPU_STRUCTS;
 use naga::valid::{Capabilities, ValidationFlags, Validator};
-use naga::{AddressSpace, ImageClass, ShaderStage, StorageAccess, TypeInner};
+use naga::{AddressSpace, ImageClass, ImageDimension, ScalarKind, ShaderStage, StorageAccess, TypeInner};
 use std::collections::{BTreeMap, BTreeSet};
 use std::path::Path;
+
+/// `texture_2d_array<u32>`.
+const ROWS_CLASS: ImageClass = ImageClass::Sampled { kind: ScalarKind::Uint, multi: false };
 
 fn compile(stage: &Stage) -> Result<naga::Module, String> {
     let source = stage.wgsl();
@@ -55,6 +58,9 @@ fn bindings_are_what_the_table_says() {
                 (AddressSpace::Storage { access }, _) if access == StorageAccess::LOAD => BindingKind::Read,
                 (AddressSpace::Storage { .. }, _) => BindingKind::ReadWrite,
                 (_, TypeInner::Image { class: ImageClass::Depth { multi: false }, .. }) => BindingKind::Depth,
+                (_, TypeInner::Image { dim: ImageDimension::D2, arrayed: true, class: ROWS_CLASS }) => {
+                    BindingKind::Rows
+                }
                 other => panic!("{}: binding {} is {other:?}", stage.name, binding.binding),
             };
             assert!(found.insert(binding.binding, kind).is_none(), "{}", stage.name);

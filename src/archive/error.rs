@@ -67,6 +67,16 @@ pub enum LoadError {
         /// What is allowed ([`Archive::with_memory_limit`](super::Archive::with_memory_limit)).
         limit_bytes: u64,
     },
+    /// The system has not the memory for what was asked for.
+    #[error("{archive}: there is no memory for {what}, {needed_bytes} bytes; load fewer directions")]
+    OutOfMemory {
+        /// The archive's path or name.
+        archive: String,
+        /// What was to be loaded.
+        what: String,
+        /// What it takes.
+        needed_bytes: u64,
+    },
 }
 
 impl LoadError {
@@ -80,7 +90,10 @@ impl LoadError {
                     | ArchiveErrorKind::UnsupportedCodec { .. }
             ),
             Self::Rule { .. } | Self::Octree { .. } => true,
-            Self::NoRows { .. } | Self::NoSuchItem { .. } | Self::OverBudget { .. } => false,
+            Self::NoRows { .. }
+            | Self::NoSuchItem { .. }
+            | Self::OverBudget { .. }
+            | Self::OutOfMemory { .. } => false,
         }
     }
 
@@ -91,7 +104,7 @@ impl LoadError {
                 error.kind(),
                 ArchiveErrorKind::SectionTooLarge { .. } | ArchiveErrorKind::OutOfMemory { .. }
             ),
-            _ => matches!(self, Self::OverBudget { .. }),
+            _ => matches!(self, Self::OverBudget { .. } | Self::OutOfMemory { .. }),
         }
     }
 

@@ -7,7 +7,7 @@
 use super::segments::{Bundle, bundles};
 use super::variants::{Keep, Variant};
 use super::{BenchError, BenchScene, Cell, Table};
-use crate::rays::{DirectionRows, OriginBias};
+use crate::rays::paper::{DirectionRows, OriginBias};
 use crate::reference::Reference;
 use manyview_cache::archive::{CompressedChunk, MAX_CHUNK_BYTES};
 use manyview_pipeline::bake::Progress;

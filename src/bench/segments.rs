@@ -1,7 +1,7 @@
 //! Segments to test, with their exact answers.
 
 use super::Random;
-use crate::rays::Segment;
+use crate::rays::paper::ExactSegment as Segment;
 use crate::reference::{Reference, area_normal};
 use glam::DVec3;
 use manyview_shaders::directions::{DirectionSet, RowLattice};

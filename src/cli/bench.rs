@@ -4,7 +4,7 @@ use manyview::bench::tables::{self, DynamicSettings, OurMethods, TableSettings};
 use manyview::bench::variants::{Detail, variants};
 use manyview::bench::{BenchError, BenchScene, RunInfo, SceneSource, Table, rows, voxels};
 use manyview::gpu::{AdapterChoice, GpuContext};
-use manyview::rays::OriginBias;
+use manyview::rays::paper::OriginBias;
 use manyview_pipeline::bake;
 use std::path::PathBuf;
 

@@ -9,8 +9,7 @@ use manyview::Archive;
 use manyview::bench::{BenchScene, SceneSource};
 use manyview::exact::ExactRays;
 use manyview::npy::{self, ArrayReader, ReadError};
-use manyview::plain_rows::PlainRows;
-use manyview::rays::OriginBias;
+use manyview::rays::RowTester;
 use manyview::reference::Reference;
 use manyview::rivals::brickmap::{self, BrickmapVisibility};
 use manyview::rivals::bvh::BvhVisibility;
@@ -135,7 +134,7 @@ pub(crate) fn with_method<R>(
     work: impl FnOnce(&dyn Visibility) -> Result<R, CliError>,
 ) -> Result<R, CliError> {
     match name {
-        MethodName::Rows => work(&PlainRows::load(&input.into_archive(true)?, OriginBias::default())?),
+        MethodName::Rows => work(&RowTester::load(&input.into_archive(true)?)?),
         MethodName::Brickmap => {
             let svo = input.into_archive(false)?.svo()?;
             work(&BrickmapVisibility::new(brickmap::from_svo(&svo, u32::MAX, brickmap::DEFAULT_BIAS)))

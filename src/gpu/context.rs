@@ -1,7 +1,9 @@
 use super::pipelines::Pipelines;
 use manyview_shaders::device::DeviceError;
 use std::panic::{AssertUnwindSafe, catch_unwind};
+use std::pin::Pin;
 use std::sync::{Arc, Mutex, PoisonError};
+use std::task::{Poll, Waker};
 use thiserror::Error;
 
 /// Why no GPU could be opened.
@@ -50,7 +52,35 @@ pub struct GpuContext {
     is_software: bool,
     /// What went wrong first, outside any error scope; the device is not used again.
     failure: Arc<Mutex<Option<String>>>,
+    /// Errors of past work that are not known yet. Empty but in browsers, which tell of them later.
+    undecided: Mutex<Vec<PendingError>>,
     pub(super) pipelines: Pipelines,
+}
+
+#[cfg(not(target_arch = "wasm32"))]
+type ErrorFuture = Pin<Box<dyn Future<Output = Option<wgpu::Error>> + Send>>;
+#[cfg(target_arch = "wasm32")]
+type ErrorFuture = Pin<Box<dyn Future<Output = Option<wgpu::Error>>>>;
+
+/// The error, if any, of work that is named `what` and allocates `bytes`.
+struct PendingError {
+    what: &'static str,
+    bytes: u64,
+    error: ErrorFuture,
+}
+
+impl PendingError {
+    /// What went wrong, once it is known.
+    fn poll(&mut self) -> Poll<Option<String>> {
+        let mut context = std::task::Context::from_waker(Waker::noop());
+        let Self { what, bytes, .. } = *self;
+        self.error.as_mut().poll(&mut context).map(|error| {
+            Some(match error? {
+                wgpu::Error::OutOfMemory { .. } => format!("out of memory for {bytes} bytes of {what}"),
+                other => format!("{what}: {other}"),
+            })
+        })
+    }
 }
 
 impl std::fmt::Debug for GpuContext {
@@ -120,6 +150,7 @@ impl GpuContext {
             name: describe(&info),
             is_software: info.device_type == wgpu::DeviceType::Cpu,
             failure: Arc::default(),
+            undecided: Mutex::default(),
             pipelines: Pipelines::default(),
         }
     }
@@ -157,13 +188,18 @@ impl GpuContext {
         let internal = self.device.push_error_scope(wgpu::ErrorFilter::Internal);
         let memory = self.device.push_error_scope(wgpu::ErrorFilter::OutOfMemory);
         let result = work();
-        let errors = [memory.pop(), internal.pop(), validation.pop()].map(pollster::block_on);
-        if let Some(error) = errors.into_iter().flatten().next() {
-            return Err(DeviceError::Failed(match error {
-                wgpu::Error::OutOfMemory { .. } => format!("out of memory for {bytes} bytes of {what}"),
-                other => format!("{what}: {other}"),
-            }));
+        let errors: [ErrorFuture; 3] =
+            [Box::pin(memory.pop()), Box::pin(internal.pop()), Box::pin(validation.pop())];
+        let mut undecided = self.undecided.lock().unwrap_or_else(PoisonError::into_inner);
+        for error in errors {
+            let mut error = PendingError { what, bytes, error };
+            match error.poll() {
+                Poll::Ready(None) => {}
+                Poll::Ready(Some(problem)) => return Err(DeviceError::Failed(problem)),
+                Poll::Pending => undecided.push(error),
+            }
         }
+        drop(undecided);
         self.check()?;
         Ok(result)
     }
@@ -174,10 +210,19 @@ impl GpuContext {
         self.wait(&submission)
     }
 
+    /// Lets wgpu call back about work that is done. Never waits.
+    pub(super) fn pump(&self) -> Result<(), DeviceError> {
+        self.check()?;
+        self.poll(wgpu::PollType::Poll)
+    }
+
     /// Waits until a submission is done.
     pub(super) fn wait(&self, submission: &wgpu::SubmissionIndex) -> Result<(), DeviceError> {
         self.check()?;
-        let until = wgpu::PollType::Wait { submission_index: Some(submission.clone()), timeout: None };
+        self.poll(wgpu::PollType::Wait { submission_index: Some(submission.clone()), timeout: None })
+    }
+
+    fn poll(&self, until: wgpu::PollType) -> Result<(), DeviceError> {
         // wgpu panics when a device is lost while it waits.
         let polled = catch_unwind(AssertUnwindSafe(|| self.device.poll(until)));
         let problem = match polled {
@@ -190,6 +235,17 @@ impl GpuContext {
     }
 
     fn check(&self) -> Result<(), DeviceError> {
+        self.undecided.lock().unwrap_or_else(PoisonError::into_inner).retain_mut(|error| {
+            match error.poll() {
+                Poll::Pending => true,
+                Poll::Ready(problem) => {
+                    if let Some(problem) = problem {
+                        keep_first(&self.failure, problem);
+                    }
+                    false
+                }
+            }
+        });
         match &*self.failure.lock().unwrap_or_else(PoisonError::into_inner) {
             Some(problem) => Err(DeviceError::Failed(format!("{problem} ({})", self.name))),
             None => Ok(()),

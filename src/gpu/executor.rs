@@ -2,7 +2,7 @@ use super::GpuContext;
 use super::pipelines::{DEPTH_FORMAT, Runs};
 use manyview_shaders::device::DeviceError;
 use manyview_shaders::executor::{
-    Binding, BufferId, Command, DepthId, Executor, ExecutorLimits, Recording, check_bindings,
+    Binding, BufferId, Command, DepthId, Executor, ExecutorLimits, Recording, RowsId, check_bindings,
 };
 use manyview_shaders::stages::Stage;
 use std::collections::BTreeMap;
@@ -22,6 +22,7 @@ pub struct WgpuExecutor<'a> {
     limits: ExecutorLimits,
     buffers: BTreeMap<BufferId, wgpu::Buffer>,
     images: BTreeMap<DepthId, wgpu::TextureView>,
+    rows: BTreeMap<RowsId, wgpu::TextureView>,
     next_id: u32,
 }
 
@@ -34,7 +35,24 @@ impl std::fmt::Debug for WgpuExecutor<'_> {
 impl<'a> WgpuExecutor<'a> {
     /// An executor without buffers. `limits` are at most WebGPU's default ones.
     pub fn new(context: &'a GpuContext, limits: ExecutorLimits) -> Self {
-        Self { context, limits, buffers: BTreeMap::new(), images: BTreeMap::new(), next_id: 0 }
+        let (buffers, images, rows) = (BTreeMap::new(), BTreeMap::new(), BTreeMap::new());
+        Self { context, limits, buffers, images, rows, next_id: 0 }
+    }
+
+    /// Gives stages a buffer of the same device that lives elsewhere too, such as a scene's. Its usages must fit what
+    /// stages do with it; releasing it here frees nothing.
+    pub fn share_buffer(&mut self, buffer: &wgpu::Buffer) -> BufferId {
+        let id = BufferId(self.next_id());
+        self.buffers.insert(id, buffer.clone());
+        id
+    }
+
+    /// Gives stages a rows texture of the same device: a view of all layers of an `rgba32uint` 2D-array texture, such
+    /// as [`GpuScene::rows_view`](super::GpuScene::rows_view).
+    pub fn share_rows(&mut self, view: &wgpu::TextureView) -> RowsId {
+        let id = RowsId(self.next_id());
+        self.rows.insert(id, view.clone());
+        id
     }
 
     fn next_id(&mut self) -> u32 {
@@ -48,6 +66,10 @@ impl<'a> WgpuExecutor<'a> {
 
     fn image_of(&self, id: DepthId) -> &wgpu::TextureView {
         self.images.get(&id).expect("recordings use live images")
+    }
+
+    fn rows_of(&self, id: RowsId) -> &wgpu::TextureView {
+        self.rows.get(&id).expect("recordings use live rows textures")
     }
 
     fn upload(&self, buffer: &wgpu::Buffer, bytes: &[u8]) {
@@ -69,6 +91,7 @@ impl<'a> WgpuExecutor<'a> {
                 resource: match *bound {
                     Binding::Buffer(id) => self.buffer_of(id).as_entire_binding(),
                     Binding::Depth(id) => wgpu::BindingResource::TextureView(self.image_of(id)),
+                    Binding::Rows(id) => wgpu::BindingResource::TextureView(self.rows_of(id)),
                 },
             })
             .collect();

@@ -60,6 +60,11 @@ fn make(device: &wgpu::Device, stage: &Stage) -> StagePipeline {
                     view_dimension: wgpu::TextureViewDimension::D2,
                     multisampled: false,
                 },
+                BindingKind::Rows => wgpu::BindingType::Texture {
+                    sample_type: wgpu::TextureSampleType::Uint,
+                    view_dimension: wgpu::TextureViewDimension::D2Array,
+                    multisampled: false,
+                },
             },
             count: None,
         })

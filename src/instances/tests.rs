@@ -1,8 +1,7 @@
 use super::*;
 use crate::bench::Random;
 use crate::exact::ExactRays;
-use crate::plain_rows::PlainRows;
-use crate::rays::OriginBias;
+use crate::rays::RowTester;
 use crate::reference::Reference;
 use glam::{DMat4, DQuat};
 use manyview_pipeline::generate::{SceneKind, generate};
@@ -254,11 +253,8 @@ fn a_turned_instance_answers_as_the_turned_scene() {
     let directions = DirectionSet::LatLong { thetas: 30, phis: 30 };
     let options = RowsOptions { bits: 6, directions, fit: Fit::Extent, from: RowsFrom::Points };
     let plan = RowsPlan::new(options, lattice, &drawn, &cutouts);
-    let all = plan.block(&plan.frames);
-    let rows = || {
-        let frames = plan.frames.clone();
-        PlainRows::new(directions, lattice, options.bits, frames, all.clone(), OriginBias::default())
-    };
+    let all = std::sync::Arc::new(plan.block(&plan.frames));
+    let rows = || RowTester::new(directions, lattice, options.bits, &plan.frames, all.clone());
     let in_place = {
         let object_of = |p: [f32; 3]| world_from_object.object_point(point(p)).as_vec3().to_array();
         let objects: Vec<_> = free

@@ -20,7 +20,7 @@ use crate::reference::{Reference, area_normal};
 use crate::visibility::{Visibility, VisibilityError, light_words};
 use glam::Vec3;
 use manyview_shaders::cases::Random;
-use manyview_shaders::testable::testable;
+use manyview_shaders::testable::{is_behind, testable};
 use manyview_shaders::types::{LightPoint, Receiver, Segment};
 use rayon::prelude::*;
 
@@ -175,7 +175,7 @@ impl Visibility for IsmVisibility {
             receivers.par_iter().zip(hidden.par_chunks_mut(words)).for_each(|(receiver, hidden)| {
                 for (i, (light, map)) in lights.iter().zip(&maps).enumerate() {
                     let Some(segment) = testable(&light.segment_from(receiver)) else { continue };
-                    let bit = u32::from(self.is_hidden(map, &segment));
+                    let bit = u32::from(is_behind(&segment) || self.is_hidden(map, &segment));
                     hidden[(first + i) / 32] |= bit << (i % 32);
                 }
             });

@@ -1,7 +1,7 @@
 //! Batches over a function that tests one segment, on all threads.
 
 use crate::visibility::light_words;
-use manyview_shaders::testable::testable;
+use manyview_shaders::testable::{is_behind, testable};
 use manyview_shaders::types::{LightPoint, Receiver, Segment};
 use rayon::prelude::*;
 
@@ -55,7 +55,8 @@ pub(super) fn hidden_lights(
             for (lights, word) in lights.chunks(32).zip(hidden) {
                 *word = (0..).zip(lights).fold(0, |bits, (bit, light)| {
                     let segment = testable(&light.segment_from(receiver));
-                    bits | u32::from(segment.is_some_and(|segment| test(&segment))) << bit
+                    bits | u32::from(segment.is_some_and(|segment| is_behind(&segment) || test(&segment)))
+                        << bit
                 });
             }
         }

@@ -1,8 +1,8 @@
 //! `wgsl-bvh`: the tree of `bvh` traversed by our own shader ([`manyview_shaders::wide_bvh`]).
 
 use super::bvh::{BUILD, Tree};
-use super::stage::{MethodStages, StageVisibility};
 use crate::reference::Reference;
+use crate::visibility::{MethodStages, StageVisibility};
 use manyview_shaders::device::DeviceError;
 use manyview_shaders::executor::Executor;
 use manyview_shaders::masks::TriangleMask;

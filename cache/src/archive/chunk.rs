@@ -138,6 +138,18 @@ fn compress_into(raw: &[u8], level: i32, stored: &mut [u8]) -> io::Result<usize>
 /// Decodes the `stored` bytes of a chunk into `raw`, whose size must be the chunk's raw size. First the digest is
 /// checked, so that the decoder sees only what a writer wrote. Takes no memory beyond a fixed context per thread.
 pub fn decode_chunk(record: &ChunkRecord, stored: &[u8], raw: &mut [u8]) -> Result<(), ArchiveError> {
+    if record.codec == Codec::Sparse {
+        raw.fill(0);
+    }
+    decode_chunk_into_zeros(record, stored, raw)
+}
+
+/// As [`decode_chunk`], into a `raw` that is all zero.
+pub(super) fn decode_chunk_into_zeros(
+    record: &ChunkRecord,
+    stored: &[u8],
+    raw: &mut [u8],
+) -> Result<(), ArchiveError> {
     expect_equal("stored size", record.stored_bytes as usize, stored.len())?;
     expect_equal("raw size", record.raw_bytes as usize, raw.len())?;
     expect_equal("digest of the stored bytes", record.stored_digest, Digest::of(stored))?;
@@ -154,7 +166,7 @@ pub fn decode_chunk(record: &ChunkRecord, stored: &[u8], raw: &mut [u8]) -> Resu
             // A sparse form is smaller than its content.
             scratch.resize(raw.len(), 0);
             let written = decompress(stored, scratch)?;
-            sparse::decode(&scratch[..written], raw)
+            sparse::decode_into_zeros(&scratch[..written], raw)
         })?,
     }
     Ok(())

@@ -6,7 +6,7 @@ use std::path::Path;
 
 use rayon::prelude::*;
 
-use super::chunk::decode_chunk;
+use super::chunk::{decode_chunk, decode_chunk_into_zeros};
 use super::error::{ArchiveError, ArchiveErrorKind, read_error};
 use super::format::{ChunkRecord, HEADER_BYTES, Header, Index, Section, SectionId, SectionName};
 use super::source::{ByteSource, FileSource};
@@ -168,17 +168,38 @@ impl Archive {
         self.decode(record, content).map_err(|error| self.name_chunk_error(error, number))
     }
 
+    /// The content of one chunk, by its number, to where it belongs: `zeros`, which are all zero and of the chunk's raw
+    /// size. Where the chunk has zeros they are not touched, so that fresh pages of the system stay untouched too.
+    /// Threads may read chunks at the same time. After an error the content is undefined.
+    ///
+    /// # Panics
+    /// Where there is no such chunk.
+    pub fn read_chunk_into_zeros(&self, number: u32, zeros: &mut [u8]) -> Result<(), ArchiveError> {
+        let number = number as usize;
+        let record = &self.index.chunks[number];
+        self.with_stored(record, |stored| decode_chunk_into_zeros(record, stored, zeros))
+            .map_err(|error| self.name_chunk_error(error, number))
+    }
+
     /// Reads, checks and decodes a chunk.
     pub(super) fn decode(&self, record: &ChunkRecord, raw: &mut [u8]) -> Result<(), ArchiveError> {
+        self.with_stored(record, |stored| decode_chunk(record, stored, raw))
+    }
+
+    fn with_stored(
+        &self,
+        record: &ChunkRecord,
+        decode: impl FnOnce(&[u8]) -> Result<(), ArchiveError>,
+    ) -> Result<(), ArchiveError> {
         thread_local!(static STORED: RefCell<Vec<u8>> = const { RefCell::new(Vec::new()) });
         if let Some(bytes) = self.source.in_memory() {
             // Within bounds, as the index was checked against the size of the file.
-            return decode_chunk(record, &bytes[record.offset as usize..record.end() as usize], raw);
+            return decode(&bytes[record.offset as usize..record.end() as usize]);
         }
         STORED.with_borrow_mut(|stored| {
             stored.resize(record.stored_bytes as usize, 0);
             self.source.read_exact_at(record.offset, stored).map_err(read_error)?;
-            decode_chunk(record, stored, raw)
+            decode(stored)
         })
     }
 

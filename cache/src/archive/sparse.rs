@@ -14,6 +14,8 @@
 //! | … | the bytes that are not zero of a bitmap of n bits: bit k tells whether content byte number k is not zero |
 //! | … | the content bytes that are not zero, by number |
 
+use std::cell::RefCell;
+
 use super::error::{ArchiveError, corrupt};
 
 /// Bytes of a record.
@@ -55,46 +57,71 @@ pub(super) fn encode(raw: &[u8]) -> Option<Vec<u8>> {
     Some(sparse)
 }
 
-/// Puts the content of a sparse form into `raw`, whose size is known from elsewhere. Accepts only what [`encode`]
-/// makes.
-pub(super) fn decode(sparse: &[u8], raw: &mut [u8]) -> Result<(), ArchiveError> {
+/// Puts the content of a sparse form into `raw`, which is all zero and whose size is known from elsewhere. Accepts only
+/// what [`encode`] makes. Records without content are not touched.
+pub(super) fn decode_into_zeros(sparse: &[u8], raw: &mut [u8]) -> Result<(), ArchiveError> {
+    thread_local!(static BITMAP: RefCell<Vec<u64>> = const { RefCell::new(Vec::new()) });
     let broken = |found: &str| Err(corrupt("sparse content", "the form of its size", found));
     if raw.is_empty() || !raw.len().is_multiple_of(UNIT) {
         return broken("a size that is no multiple of 1,024");
     }
-    let records = raw.len() / RECORD;
     let Some((of_bitmap, rest)) = sparse.split_at_checked(raw.len() / 64) else {
         return broken("too few bytes");
     };
-    let bitmap_bytes: usize = of_bitmap.iter().map(|byte| byte.count_ones() as usize).sum();
-    let Some((bitmap, content)) = rest.split_at_checked(bitmap_bytes) else { return broken("too few bytes") };
-    let content_bytes: usize = bitmap.iter().map(|byte| byte.count_ones() as usize).sum();
-    if content.len() != content_bytes || bitmap.contains(&0) || content.contains(&0) {
+    let Some((bitmap, content)) = rest.split_at_checked(count_ones(of_bitmap)) else {
+        return broken("too few bytes");
+    };
+    if content.len() != count_ones(bitmap) || bitmap.contains(&0) || content.contains(&0) {
         return broken("other counts than its bitmaps tell, or a zero where there is none");
     }
-    raw.fill(0);
-    let mut bitmap = bitmap.iter();
-    let mut content = content.iter();
-    for (group, &present) in of_bitmap.iter().enumerate() {
-        for k in set_bits(present) {
-            let first = (group * 8 + k) * 8;
-            // Eight numbers never span two places in the record: there are a multiple of 64 records.
-            let (i, r) = (first / records, first % records);
-            for bit in set_bits(bitmap.next().copied().unwrap_or(0)) {
-                raw[(r + bit) * RECORD + i] = content.next().copied().unwrap_or(0);
+    BITMAP.with_borrow_mut(|words| {
+        words.clear();
+        let mut bytes = bitmap.iter();
+        words.extend(of_bitmap.iter().map(|&present| {
+            let (mut present, mut word) = (present, 0);
+            while present != 0 {
+                word |= u64::from(bytes.next().copied().unwrap_or(0)) << (8 * present.trailing_zeros());
+                present &= present - 1;
             }
-        }
-    }
+            word
+        }));
+        scatter(words, content, raw);
+    });
     Ok(())
 }
 
-/// The numbers of the bits that are set, ascending.
-fn set_bits(mut byte: u8) -> impl Iterator<Item = usize> {
-    std::iter::from_fn(move || {
-        let bit = byte.trailing_zeros();
-        byte &= byte.wrapping_sub(1);
-        (bit < 8).then_some(bit as usize)
-    })
+/// Writes the bytes of `content` where the bits of the whole bitmap tell. Records are visited once, 64 at a time with
+/// all their places, so that each cache line of `raw` is written once and not sixteen times.
+fn scatter(bitmap: &[u64], content: &[u8], raw: &mut [u8]) {
+    // Words of the bitmap of one place in the record.
+    let words = bitmap.len() / RECORD;
+    let mut rest = content;
+    let mut columns = [&[][..]; RECORD];
+    for (column, bits) in columns.iter_mut().zip(bitmap.chunks_exact(words)) {
+        let count = bits.iter().map(|word| word.count_ones() as usize).sum();
+        // As long as the bits of the whole bitmap: the caller has counted.
+        (*column, rest) = rest.split_at(count);
+    }
+    for (at, records) in raw.chunks_exact_mut(64 * RECORD).enumerate() {
+        for (i, column) in columns.iter_mut().enumerate() {
+            let mut bits = bitmap[i * words + at];
+            if bits == 0 {
+                continue;
+            }
+            let (bytes, behind) = column.split_at(bits.count_ones() as usize);
+            *column = behind;
+            for &byte in bytes {
+                records[bits.trailing_zeros() as usize * RECORD + i] = byte;
+                bits &= bits - 1;
+            }
+        }
+    }
+}
+
+fn count_ones(bytes: &[u8]) -> usize {
+    let (words, rest) = bytes.as_chunks();
+    let words = words.iter().map(|&word| u64::from_le_bytes(word).count_ones() as usize);
+    words.sum::<usize>() + rest.iter().map(|byte| byte.count_ones() as usize).sum::<usize>()
 }
 
 #[cfg(test)]
@@ -130,19 +157,19 @@ mod tests {
                 raw[at] = byte;
             }
             let sparse = encode(&raw).expect("fewer than half of the bytes are set");
-            let mut back = vec![0xaa; raw.len()];
-            decode(&sparse, &mut back).unwrap();
+            let mut back = vec![0; raw.len()];
+            decode_into_zeros(&sparse, &mut back).unwrap();
             prop_assert_eq!(&back, &raw);
             // Nothing shorter, longer or with a zero in it is taken for it.
-            prop_assert!(decode(&sparse[..sparse.len() - 1], &mut back).is_err());
+            prop_assert!(decode_into_zeros(&sparse[..sparse.len() - 1], &mut back).is_err());
             let longer = [&sparse[..], &[1]].concat();
-            prop_assert!(decode(&longer, &mut back).is_err());
+            prop_assert!(decode_into_zeros(&longer, &mut back).is_err());
         }
 
         #[test]
         fn any_bytes_decode_or_fail(sparse in prop::collection::vec(any::<u8>(), 0..200)) {
             let mut raw = vec![0; UNIT];
-            if decode(&sparse, &mut raw).is_ok() {
+            if decode_into_zeros(&sparse, &mut raw).is_ok() {
                 prop_assert_eq!(encode(&raw), Some(sparse));
             }
         }

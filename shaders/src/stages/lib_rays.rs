@@ -1,7 +1,7 @@
 //! What the twins of the stages that test rays share, as `lib_hidden_lights.wgsl` and `lib_segments.wgsl` do.
 
 use crate::executor::CpuBinding;
-use crate::testable::testable;
+use crate::testable::{is_behind, testable};
 use crate::types::{HiddenLightsParams, LightPoint, Receiver, Segment, SegmentParams};
 
 /// The twin of a stage with `lib_hidden_lights.wgsl`. `is_hidden` gets the method's bindings, a segment and the steps
@@ -31,7 +31,8 @@ pub(super) fn hidden_lights<'a, M>(
                 let segment = lights[i as usize].segment_from(receiver);
                 let Some(segment) = testable(&segment) else { continue };
                 let mut steps_left = params.steps_per_ray;
-                let bit = u32::from(is_hidden(&method, &segment, &mut steps_left)) << (i & 31);
+                let is_hidden = is_behind(&segment) || is_hidden(&method, &segment, &mut steps_left);
+                let bit = u32::from(is_hidden) << (i & 31);
                 hidden[(x * params.light_words + word) as usize] |= bit;
                 if steps_left == 0 {
                     hidden[params.exhausted_word as usize] = 1;

@@ -7,14 +7,13 @@
 //! | bear | Bear | one object that bends, on a floor: rows rotated from points every frame |
 
 use super::actors::{aeroplane, bear, bent, scene_of, walker};
-use super::methods::plain_rows_of;
+use super::methods::row_tester_of;
 use super::{Errors, Measurement, Subject, TableSettings, default_rows};
 use crate::bench::{BenchError, BenchScene, Cell, Random, Table};
 use crate::deform::DeformingRows;
 use crate::gpu::{GpuContext, GpuDeformingRows};
 use crate::instances::{Instance, InstancedScene, ObjectType, Similarity};
-use crate::plain_rows::PlainRows;
-use crate::rays::OriginBias;
+use crate::rays::RowTester;
 use crate::visibility::Visibility;
 use glam::{DMat4, DVec3, Vec3};
 use manyview_pipeline::bake::Progress;
@@ -132,7 +131,7 @@ type Run = fn(&DynamicSettings, &TableSettings) -> Result<Sums, BenchError>;
 fn object<'a>(name: &str, scene: Scene, rows: RowsOptions) -> Result<(ObjectType<'a>, Scene), BenchError> {
     let scene = BenchScene::new(name.to_owned(), scene)?;
     let (center, half) = (DVec3::from(scene.lattice.center), DVec3::from(scene.lattice.half_extent));
-    let visibility = Box::new(plain_rows_of(&scene, rows));
+    let visibility = Box::new(row_tester_of(&scene, rows));
     Ok((ObjectType { visibility, bounds: [center - half, center + half] }, scene.scene))
 }
 
@@ -234,7 +233,7 @@ fn crowd(dynamic: &DynamicSettings, settings: &TableSettings) -> Result<Sums, Be
         let at = min + DVec3::new(size.x * share[0], size.y * 0.02, size.z * share[1]) + walked;
         DMat4::from_translation(at) * DMat4::from_rotation_y(heading)
     };
-    let triangles = (dynamic.actor_triangles / 40).max(200);
+    let triangles = (dynamic.actor_triangles / 160).max(200);
     rigid(dynamic, settings, SceneKind::Park, walker(triangles), dynamic.crowd, &place)
 }
 
@@ -310,8 +309,8 @@ fn dancing_bear(dynamic: &DynamicSettings, settings: &TableSettings) -> Result<S
         let begun = Instant::now();
         rows.refill(&points);
         let update_seconds = begun.elapsed().as_secs_f64();
-        let (frames, words) = (rows.frames().to_vec(), rows.rows().to_vec());
-        let bent = PlainRows::new(directions, rows.lattice(), bits, frames, words, OriginBias::default());
+        let words = std::sync::Arc::new(rows.rows().to_vec());
+        let bent = RowTester::new(directions, rows.lattice(), bits, rows.frames(), words);
         let kinds = vec![
             ObjectType { visibility: Box::new(Borrowed(&*floor_rows)), bounds: floor_bounds },
             ObjectType { visibility: Box::new(bent), bounds: BEAR_BOUNDS },

@@ -4,7 +4,8 @@ use super::subject::Subject;
 use crate::bench::{BenchError, BenchScene};
 use crate::gpu::{GpuContext, WgpuExecutor};
 use crate::plain_rows::PlainRows;
-use crate::rays::OriginBias;
+use crate::rays::paper::OriginBias;
+use crate::rays::{RowTester, TestSettings};
 use crate::rivals::brickmap::{self, BrickmapVisibility};
 use crate::rivals::bvh::BvhVisibility;
 use crate::rivals::ism::{IsmOptions, IsmVisibility};
@@ -13,9 +14,10 @@ use crate::visibility::Visibility;
 use manyview_pipeline::rows::{RowsOptions, RowsPlan};
 use manyview_shaders::brickmap::Brickmap;
 use manyview_shaders::device::DeviceError;
-use manyview_shaders::directions::Fit;
+use manyview_shaders::directions::{DirectionFrame, Fit};
 use manyview_shaders::executor::ExecutorLimits;
 use rayon::prelude::*;
+use std::sync::Arc;
 use std::time::Instant;
 
 /// A method that was made for a scene.
@@ -46,8 +48,9 @@ pub trait MethodSource: Sync {
 ///
 /// | name | what it is |
 /// |---|---|
-/// | `rows` | rows with the settings asked for |
-/// | `rows-cube` | the same in the paper's grid, one cube around the bounding sphere |
+/// | `rows` | rows with the settings asked for, the most exact test |
+/// | `rows-fast` | the same, one row a segment |
+/// | `rows-paper` | the paper's test in the paper's grid, one cube around the bounding sphere |
 /// | `brickmap` | marching through the octree's cells |
 /// | `ism` | imperfect shadow maps |
 /// | `bvh` | ray tracing with a compressed wide BVH |
@@ -68,7 +71,7 @@ impl OurMethods {
 
 impl MethodSource for OurMethods {
     fn names(&self) -> Vec<&'static str> {
-        let mut names = vec!["rows", "rows-cube", "brickmap", "ism", "bvh"];
+        let mut names = vec!["rows", "rows-fast", "rows-paper", "brickmap", "ism", "bvh"];
         if self.gpu.is_some() {
             names.extend(["wgsl-brickmap", "wgsl-bvh"]);
         }
@@ -86,8 +89,19 @@ impl MethodSource for OurMethods {
             |source: DeviceError| BenchError::Method { method: name.to_owned(), source: source.into() };
         let reference = subject.judge.reference();
         let (visibility, bytes): (Box<dyn Visibility + 'a>, u64) = match name {
-            "rows" => boxed(plain_rows_of(subject.scene, rows)),
-            "rows-cube" => boxed(plain_rows_of(subject.scene, RowsOptions { fit: Fit::Cube, ..rows })),
+            "rows" | "rows-fast" => {
+                let settings = if name == "rows" { TestSettings::EXACT } else { TestSettings::FAST };
+                let tester = row_tester_of(subject.scene, rows).with_settings(settings);
+                (Box::new(tester), rows_bytes(&rows))
+            }
+            "rows-paper" => {
+                let rows = RowsOptions { fit: Fit::Cube, ..rows };
+                let (frames, words) = rows_of(subject.scene, rows);
+                let RowsOptions { directions, bits, .. } = rows;
+                let bias = OriginBias::default();
+                let paper = PlainRows::new(directions, subject.scene.lattice, bits, frames, words, bias);
+                (Box::new(paper), rows_bytes(&rows))
+            }
             "brickmap" => {
                 let map = brickmap_of(subject)?;
                 let bytes = brickmap_bytes(&map);
@@ -132,19 +146,23 @@ fn brickmap_bytes(map: &Brickmap) -> u64 {
     bytes as u64
 }
 
-fn boxed<'a>(rows: PlainRows) -> (Box<dyn Visibility + 'a>, u64) {
-    let bytes = rows.bytes();
-    (Box::new(rows), bytes)
+fn rows_bytes(rows: &RowsOptions) -> u64 {
+    u64::from(rows.directions.count()) << (3 * rows.bits - 3)
+}
+
+/// Rows in memory, ready for tests.
+pub(super) fn row_tester_of(scene: &BenchScene, options: RowsOptions) -> RowTester {
+    let (frames, rows) = rows_of(scene, options);
+    RowTester::new(options.directions, scene.lattice, options.bits, &frames, Arc::new(rows))
 }
 
 /// Voxelizes all directions in memory.
-pub(super) fn plain_rows_of(scene: &BenchScene, options: RowsOptions) -> PlainRows {
+fn rows_of(scene: &BenchScene, options: RowsOptions) -> (Vec<DirectionFrame>, Vec<u32>) {
     let plan = RowsPlan::new(options, scene.lattice, &scene.row_triangles, &scene.cutouts);
     let words = 1usize << (3 * options.bits - 5);
     let mut rows = vec![0; words * plan.frames.len()];
     rows.par_chunks_mut(words)
         .zip(&plan.frames)
         .for_each(|(rows, frame)| rows.copy_from_slice(&plan.block(std::slice::from_ref(frame))));
-    let frames = plan.frames.clone();
-    PlainRows::new(options.directions, scene.lattice, options.bits, frames, rows, OriginBias::default())
+    (plan.frames.clone(), rows)
 }

@@ -4,8 +4,11 @@
 //! and tables take any of them: a batch of segments ([`Visibility::occluded`], [`Visibility::distances`]), and every
 //! pair of a receiver and a light ([`Visibility::hidden_lights`]).
 
+mod stage;
+
 use manyview_shaders::device::DeviceError;
 pub use manyview_shaders::types::{LightPoint, Receiver, Segment};
+pub use stage::{MethodStages, StageVisibility};
 use thiserror::Error;
 
 /// Why a question was not answered.
@@ -46,7 +49,8 @@ pub trait Visibility: Sync {
     fn distances(&self, segments: &[Segment], distances: &mut [f32]) -> Result<(), VisibilityError>;
 
     /// Which lights each receiver does not see: bit `l % 32` of word `receiver * light_words(lights.len()) + l / 32`
-    /// is set iff light l is hidden; bits beyond the last light are 0. Faces turned away are not hidden by that alone.
+    /// is set iff light l is hidden; bits beyond the last light are 0. A light that is not in front of a receiver's
+    /// surface is hidden by that surface, without a test.
     ///
     /// # Panics
     /// If `hidden` has another length than `receivers.len() * light_words(lights.len())`.
@@ -66,7 +70,8 @@ pub trait Visibility: Sync {
             self.occluded(&segments, &mut occluded)?;
             hidden.fill(0);
             for (light, &bit) in occluded.iter().enumerate() {
-                hidden[light / 32] |= u32::from(bit) << (light % 32);
+                let is_hidden = bit == 1 || lights[light].is_behind(receiver);
+                hidden[light / 32] |= u32::from(is_hidden) << (light % 32);
             }
         }
         Ok(())

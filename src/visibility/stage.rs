@@ -44,7 +44,16 @@ impl<'a> StageVisibility<'a> {
             bindings.push(buffer.into());
         }
         executor.run(&recording)?;
-        Ok(Self { stages, bindings, executor: Mutex::new(executor) })
+        Ok(Self::with_bindings(stages, executor, bindings))
+    }
+
+    /// Takes what the method reads from where it is on the executor already.
+    pub fn with_bindings(
+        stages: MethodStages,
+        executor: Box<dyn Executor + Send + 'a>,
+        bindings: Vec<Binding>,
+    ) -> Self {
+        Self { stages, bindings, executor: Mutex::new(executor) }
     }
 
     fn run(

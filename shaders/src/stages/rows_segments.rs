@@ -1,0 +1,13 @@
+use super::lib_rays;
+use crate::executor::CpuBinding;
+use crate::row_view::RowView;
+
+pub(super) fn twin(workgroups: [u32; 3], bindings: &mut [CpuBinding]) {
+    lib_rays::segments(
+        workgroups,
+        bindings,
+        RowView::bound,
+        |rows, segment, _| rows.is_occluded(segment),
+        |rows, segment, _| rows.distance(segment).unwrap_or(-1.0),
+    );
+}

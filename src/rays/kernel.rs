@@ -1,0 +1,488 @@
+//! Sixteen segments at a time.
+//!
+//! The loops over lanes below are plain Rust without branches, so that the compiler turns them into vector code; they
+//! are compiled three times, for AVX-512, AVX2 and whatever the target has, and chosen at run time. There is no other
+//! arithmetic than that of [`manyview_shaders::row_test`], so that all three give the same answers.
+
+use manyview_shaders::row_bits::{DirectionBits, row_mask, row_of_128};
+use manyview_shaders::row_test::{
+    LatticeSegment, NEAR_STEPS, RowPart, RowPlan, RowTestParams, TestFrame, all_within, cut_far_segment,
+    cut_segment, normal_steps, plan_rows, table_cell, whole,
+};
+use manyview_shaders::row_view::first_share;
+use manyview_shaders::testable::{MAX_NORMAL, MIN_LENGTH_SQUARED, testable};
+use manyview_shaders::types::{LightPoint, Receiver, Segment};
+
+/// Segments that are tested together.
+pub(super) const LANES: usize = 16;
+type Lanes<T> = [T; LANES];
+
+/// Vector instructions that the CPU has.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, PartialOrd, Ord)]
+pub enum SimdLevel {
+    /// What the compiler was told that every machine has.
+    Portable,
+    /// AVX2.
+    Avx2,
+    /// AVX-512 with its doubleword, byte and conflict detection parts.
+    Avx512,
+}
+
+impl SimdLevel {
+    /// The best that this machine has.
+    pub fn detect() -> Self {
+        #[cfg(target_arch = "x86_64")]
+        {
+            use std::arch::is_x86_feature_detected as has;
+            if has!("avx512f") && has!("avx512bw") && has!("avx512dq") && has!("avx512vl") {
+                return Self::Avx512;
+            }
+            if has!("avx2") && has!("bmi2") {
+                return Self::Avx2;
+            }
+        }
+        Self::Portable
+    }
+}
+
+/// What tests need, borrowed for a call.
+#[derive(Clone, Copy)]
+pub(super) struct View<'a> {
+    pub(super) params: &'a RowTestParams,
+    pub(super) frames: &'a [TestFrame],
+    pub(super) table: &'a [u16],
+    pub(super) rows: &'a [u32],
+}
+
+impl<'a> View<'a> {
+    /// What a lane looks at, and where.
+    #[inline(always)]
+    fn part(&self, parts: &Parts, lane: usize) -> (DirectionBits<'a>, RowPart) {
+        let rows_bits = 2 * self.params.bits;
+        let part = RowPart {
+            row: parts.row[lane] & ((1 << rows_bits) - 1),
+            first: parts.first[lane],
+            last: parts.last[lane],
+            sides: parts.sides[lane],
+        };
+        (self.direction(parts.row[lane] >> rows_bits), part)
+    }
+
+    /// The rows of a direction.
+    #[inline(always)]
+    fn direction(&self, direction: u32) -> DirectionBits<'a> {
+        let words = 1usize << (3 * self.params.bits - 5);
+        let first = direction as usize * words;
+        DirectionBits {
+            words: &self.rows[first..first + words],
+            bits: self.params.bits,
+            consensus: self.params.consensus == 1,
+        }
+    }
+}
+
+/// Origins of up to 16 segments, and what all tests from them share.
+struct Origins {
+    count: usize,
+    position: [Lanes<f32>; 3],
+    normal: [Lanes<f32>; 3],
+    /// In lattice steps.
+    steps: [Lanes<i32>; 3],
+    normal_steps: [Lanes<i32>; 3],
+    /// Lanes that [`cut_segment`] cannot do.
+    far: u16,
+    /// Lanes on a surface.
+    on_surface: u16,
+}
+
+impl Origins {
+    #[inline(always)]
+    fn new(params: &RowTestParams, points: impl Iterator<Item = ([f32; 3], [f32; 3])>) -> Self {
+        let mut origins = Self {
+            count: 0,
+            position: [[0.0; LANES]; 3],
+            normal: [[0.0; LANES]; 3],
+            steps: [[0; LANES]; 3],
+            normal_steps: [[0; LANES]; 3],
+            far: 0,
+            on_surface: 0,
+        };
+        for (lane, (position, normal)) in points.enumerate().take(LANES) {
+            let lattice = params.lattice_from_world(position);
+            let is_near = all_within(lattice, NEAR_STEPS);
+            let is_usable = all_within(normal, MAX_NORMAL);
+            let normal = if is_usable { normal } else { [0.0; 3] };
+            let steps = if is_near { lattice.map(|c| whole(c.floor())) } else { [0; 3] };
+            let normal_steps = normal_steps(normal);
+            for i in 0..3 {
+                origins.position[i][lane] = position[i];
+                origins.normal[i][lane] = normal[i];
+                origins.steps[i][lane] = steps[i];
+                origins.normal_steps[i][lane] = normal_steps[i];
+            }
+            origins.far |= u16::from(!is_near) << lane;
+            origins.on_surface |= u16::from(normal != [0.0; 3]) << lane;
+            origins.count = lane + 1;
+        }
+        origins
+    }
+}
+
+/// Ways to targets.
+struct Ways {
+    /// World space, metres.
+    world: [Lanes<f32>; 3],
+    /// In lattice steps, cut to the scene's surroundings.
+    steps: [Lanes<i32>; 3],
+    share: Lanes<f32>,
+    cell: Lanes<u32>,
+    /// Lanes that hold a segment.
+    valid: u16,
+    /// Lanes whose target is in front of the origin's surface.
+    facing: u16,
+}
+
+/// `target(lane)` is where each lane's segment ends.
+#[inline(always)]
+fn ways(params: &RowTestParams, origins: &Origins, target: impl Fn(usize) -> [f32; 3]) -> Ways {
+    let mut ways = Ways {
+        world: [[0.0; LANES]; 3],
+        steps: [[0; LANES]; 3],
+        share: [0.0; LANES],
+        cell: [0; LANES],
+        valid: 0,
+        facing: 0,
+    };
+    let (mut valid, mut facing) = ([0u32; LANES], [0u32; LANES]);
+    for lane in 0..LANES {
+        let target = target(lane);
+        let at = |i: usize| target[i] - origins.position[i][lane];
+        let world = [at(0), at(1), at(2)];
+        let steps = params.steps_per_metre;
+        let way = [world[0] * steps[0], world[1] * steps[1], world[2] * steps[2]];
+        // The origin is there already.
+        let segment = cut_segment([0.0; 3], way);
+        let normal = [origins.normal[0][lane], origins.normal[1][lane], origins.normal[2][lane]];
+        for i in 0..3 {
+            ways.world[i][lane] = world[i];
+            ways.steps[i][lane] = segment.way[i];
+        }
+        ways.share[lane] = segment.share;
+        ways.cell[lane] = table_cell(world);
+        let [x, y, z] = world;
+        let squared = x * x + y * y + z * z;
+        let is_long = (squared > MIN_LENGTH_SQUARED) & (squared < f32::INFINITY);
+        valid[lane] = u32::from(segment.is_valid & is_long);
+        facing[lane] = u32::from(is_in_front(world, normal));
+    }
+    ways.valid = gathered(&valid);
+    ways.facing = gathered(&facing);
+    ways
+}
+
+/// A bit for every lane that is 1, not 0.
+#[inline(always)]
+fn gathered(flags: &Lanes<u32>) -> u16 {
+    let mut bits = [0u32; LANES];
+    for lane in 0..LANES {
+        bits[lane] = flags[lane] << lane;
+    }
+    bits.iter().fold(0, |all, bit| all | bit) as u16
+}
+
+/// Whether a way leads to a surface's front.
+#[inline(always)]
+fn is_in_front(way: [f32; 3], normal: [f32; 3]) -> bool {
+    way[0] * normal[0] + way[1] * normal[1] + way[2] * normal[2] > 0.0
+}
+
+/// Where lanes look.
+struct Parts {
+    /// The row's place among all rows of all directions.
+    row: Lanes<u32>,
+    first: Lanes<i32>,
+    last: Lanes<i32>,
+    sides: Lanes<u32>,
+}
+
+impl Parts {
+    const EMPTY: Self = Self { row: [0; LANES], first: [0; LANES], last: [-1; LANES], sides: [0; LANES] };
+
+    /// Takes `part` where `mine` is all ones, not 0.
+    #[inline(always)]
+    fn set(&mut self, lane: usize, part: RowPart, first_row: u32, mine: i32) {
+        self.row[lane] = self.row[lane] & !mine as u32 | (part.row + first_row) & mine as u32;
+        self.first[lane] = self.first[lane] & !mine | part.first & mine;
+        self.last[lane] = self.last[lane] & !mine | part.last & mine;
+        self.sides[lane] = self.sides[lane] & !mine as u32 | part.sides & mine as u32;
+    }
+}
+
+/// The parts of 16 tests, each in its own direction.
+struct Plans {
+    near: Parts,
+    far: Parts,
+    origin_w: Lanes<i32>,
+    way_w: Lanes<i32>,
+}
+
+impl Plans {
+    const EMPTY: Self =
+        Self { near: Parts::EMPTY, far: Parts::EMPTY, origin_w: [0; LANES], way_w: [0; LANES] };
+}
+
+/// Plans the tests of the `active` lanes, a direction at a time: neighbours mostly have the same.
+#[inline(always)]
+fn plan(view: &View, origins: &Origins, ways: &Ways, mut active: u16) -> Plans {
+    let mut plans = Plans::EMPTY;
+    let mut directions = [0u32; LANES];
+    for lane in 0..LANES {
+        directions[lane] = u32::from(view.table[ways.cell[lane] as usize]);
+    }
+    while active != 0 {
+        let direction = directions[active.trailing_zeros() as usize];
+        let frame = &view.frames[direction as usize];
+        let first_row = direction << (2 * view.params.bits);
+        let mut same = [0u32; LANES];
+        for lane in 0..LANES {
+            let mine = u32::from(directions[lane] == direction);
+            same[lane] = mine;
+            let mine = mine.wrapping_neg() as i32;
+            let three = |v: &[Lanes<i32>; 3]| [v[0][lane], v[1][lane], v[2][lane]];
+            let segment = LatticeSegment {
+                origin: three(&origins.steps),
+                way: three(&ways.steps),
+                ..LatticeSegment::default()
+            };
+            let plan = plan_rows(view.params, frame, &segment, three(&origins.normal_steps));
+            plans.near.set(lane, plan.near, first_row, mine);
+            plans.far.set(lane, plan.far, first_row, mine);
+            plans.origin_w[lane] = plans.origin_w[lane] & !mine | plan.origin_w & mine;
+            plans.way_w[lane] = plans.way_w[lane] & !mine | plan.way_w & mine;
+        }
+        active &= !gathered(&same);
+    }
+    plans
+}
+
+fn lanes(mut mask: u16) -> impl Iterator<Item = usize> {
+    std::iter::from_fn(move || {
+        let lane = (mask != 0).then_some(mask.trailing_zeros() as usize)?;
+        mask &= mask - 1;
+        Some(lane)
+    })
+}
+
+/// Lanes of `active` with a bit in their parts.
+#[inline(always)]
+fn hit_lanes(view: &View, parts: &Parts, active: u16) -> u16 {
+    let bits = view.params.bits;
+    if bits != 7 {
+        let mut hits = 0;
+        for lane in lanes(active) {
+            let (direction, part) = view.part(parts, lane);
+            hits |= u16::from(direction.any(&part)) << lane;
+        }
+        return hits;
+    }
+    let mut masks = [[0u64; LANES]; 2];
+    for lane in 0..LANES {
+        let mask = row_mask(parts.first[lane], parts.last[lane]);
+        masks[0][lane] = mask[0];
+        masks[1][lane] = mask[1];
+    }
+    // No branch here, so that many loads are on their way at once.
+    let mut hits = 0u32;
+    for lane in 0..LANES {
+        let row = row_of_128(view.rows, parts.row[lane] as usize);
+        hits |= u32::from((row[0] & masks[0][lane]) | (row[1] & masks[1][lane]) != 0) << lane;
+    }
+    let hits = hits as u16 & active;
+    if view.params.consensus == 0 {
+        return hits;
+    }
+    let mut agreed = 0;
+    for lane in lanes(hits) {
+        let (direction, part) = view.part(parts, lane);
+        let mask = [masks[0][lane], masks[1][lane]];
+        agreed |= u16::from(direction.agreed_of_128(part.row, part.sides, mask)) << lane;
+    }
+    agreed
+}
+
+/// The slow way for an origin far outside the scene: distance in shares of the segment of the first bit, if any.
+fn far_hit(view: &View, segment: &Segment) -> Option<f32> {
+    let [origin, target] = [segment.origin, segment.target].map(|p| view.params.lattice_from_world(p));
+    testable(segment)?;
+    let cut = cut_far_segment(origin, target);
+    let way = [0, 1, 2].map(|i| segment.target[i] - segment.origin[i]);
+    if !cut.is_valid {
+        return None;
+    }
+    let direction = view.table[table_cell(way) as usize];
+    // So far away no surface is the origin's.
+    let plan = plan_rows(view.params, &view.frames[usize::from(direction)], &cut, [0; 3]);
+    let share = first_share(&view.direction(u32::from(direction)), &plan)?;
+    Some(cut.cut + cut.share * share)
+}
+
+/// [`crate::visibility::Visibility::hidden_lights`].
+#[inline(always)]
+fn hidden_lights_of(view: &View, receivers: &[Receiver], lights: &[LightPoint], hidden: &mut [u32]) {
+    let words = lights.len().div_ceil(32);
+    for (receivers, hidden) in receivers.chunks(LANES).zip(hidden.chunks_mut(LANES * words)) {
+        let origins = Origins::new(view.params, receivers.iter().map(|r| (r.position, r.normal)));
+        let all = u16::MAX >> (LANES - origins.count);
+        for (block, lights) in lights.chunks(32).enumerate() {
+            let mut hits = [0u16; 32];
+            let mut seen = [0u16; 32];
+            let mut plans = [const { Plans::EMPTY }; 32];
+            for (bit, light) in lights.iter().enumerate() {
+                let ways = ways(view.params, &origins, |lane| {
+                    let at = |i: usize| light.offset[i] + light.position_weight * origins.position[i][lane];
+                    [at(0), at(1), at(2)]
+                });
+                // What is behind a surface is hidden by it.
+                let in_front = ways.facing | !origins.on_surface;
+                hits[bit] = all & !in_front & ways.valid;
+                seen[bit] = all & in_front & ways.valid & !origins.far;
+                plans[bit] = plan(view, &origins, &ways, seen[bit]);
+            }
+            for bit in 0..lights.len() {
+                hits[bit] |= hit_lanes(view, &plans[bit].near, seen[bit]);
+            }
+            if view.params.split == 1 {
+                for bit in 0..lights.len() {
+                    let left = seen[bit] & !hits[bit];
+                    if left != 0 {
+                        hits[bit] |= hit_lanes(view, &plans[bit].far, left);
+                    }
+                }
+            }
+            for lane in lanes(origins.far & all) {
+                for (bit, light) in lights.iter().enumerate() {
+                    if !light.is_behind(&receivers[lane]) {
+                        let segment = light.segment_from(&receivers[lane]);
+                        hits[bit] |= u16::from(far_hit(view, &segment).is_some()) << lane;
+                    }
+                }
+            }
+            for (lane, hidden) in hidden.chunks_mut(words).enumerate() {
+                hidden[block] =
+                    (0..).zip(hits).fold(0, |word, (bit, hits)| word | u32::from(hits >> lane & 1) << bit);
+            }
+        }
+    }
+}
+
+/// [`crate::visibility::Visibility::occluded`], for the segments that `order` lists.
+#[inline(always)]
+fn occluded_of(view: &View, segments: &[Segment], order: &[u32], mut found: impl FnMut(u32, bool)) {
+    for order in order.chunks(LANES) {
+        let at = |i: &u32| &segments[*i as usize];
+        let origins = Origins::new(view.params, order.iter().map(|i| (at(i).origin, at(i).normal)));
+        let all = u16::MAX >> (LANES - origins.count);
+        let mut targets = [[0.0; 3]; LANES];
+        order.iter().zip(&mut targets).for_each(|(i, target)| *target = at(i).target);
+        let ways = ways(view.params, &origins, |lane| targets[lane]);
+        let active = all & ways.valid & !origins.far;
+        let plans = plan(view, &origins, &ways, active);
+        let mut occluded = hit_lanes(view, &plans.near, active);
+        if view.params.split == 1 {
+            occluded |= hit_lanes(view, &plans.far, active & !occluded);
+        }
+        for lane in lanes(origins.far & all) {
+            occluded |= u16::from(far_hit(view, at(&order[lane])).is_some()) << lane;
+        }
+        for (lane, &index) in order.iter().enumerate() {
+            found(index, occluded >> lane & 1 == 1);
+        }
+    }
+}
+
+/// [`crate::visibility::Visibility::distances`], for the segments that `order` lists.
+#[inline(always)]
+fn distances_of(view: &View, segments: &[Segment], order: &[u32], mut found: impl FnMut(u32, f32)) {
+    for order in order.chunks(LANES) {
+        let at = |i: &u32| &segments[*i as usize];
+        let origins = Origins::new(view.params, order.iter().map(|i| (at(i).origin, at(i).normal)));
+        let all = u16::MAX >> (LANES - origins.count);
+        let mut targets = [[0.0; 3]; LANES];
+        order.iter().zip(&mut targets).for_each(|(i, target)| *target = at(i).target);
+        let ways = ways(view.params, &origins, |lane| targets[lane]);
+        let mut shares = [None; LANES];
+        let active = all & ways.valid & !origins.far;
+        let plans = plan(view, &origins, &ways, active);
+        for lane in lanes(active) {
+            let ((bits, near), (_, far)) = (view.part(&plans.near, lane), view.part(&plans.far, lane));
+            let (origin_w, way_w) = (plans.origin_w[lane], plans.way_w[lane]);
+            let share = first_share(&bits, &RowPlan { near, far, origin_w, way_w });
+            shares[lane] = share.map(|share| share * ways.share[lane]);
+        }
+        for lane in lanes(origins.far & all) {
+            shares[lane] = far_hit(view, at(&order[lane]));
+        }
+        for (lane, &index) in order.iter().enumerate() {
+            let [x, y, z] = [0, 1, 2].map(|i| f64::from(ways.world[i][lane]));
+            let length = (x * x + y * y + z * z).sqrt();
+            found(index, shares[lane].map_or(f32::INFINITY, |share| (f64::from(share) * length) as f32));
+        }
+    }
+}
+
+/// The direction-table cells of segments, for sorting.
+#[inline(always)]
+fn cells_of(segments: &[Segment], cells: &mut [u32]) {
+    for (segment, cell) in segments.iter().zip(cells) {
+        let way = [0, 1, 2].map(|i| segment.target[i] - segment.origin[i]);
+        *cell = table_cell(way);
+    }
+}
+
+/// Compiles a function for each [`SimdLevel`] and chooses at run time.
+macro_rules! dispatched {
+    ($(#[$doc:meta])* $name:ident = $body:ident($($arg:ident: $type:ty),* $(,)?)) => {
+        $(#[$doc])*
+        pub(super) fn $name(level: SimdLevel, $($arg: $type),*) {
+            #[cfg(target_arch = "x86_64")]
+            {
+                #[target_feature(enable = "avx512f,avx512bw,avx512dq,avx512vl")]
+                fn with_avx512($($arg: $type),*) {
+                    $body($($arg),*);
+                }
+                #[target_feature(enable = "avx2,bmi2")]
+                fn with_avx2($($arg: $type),*) {
+                    $body($($arg),*);
+                }
+                match level.min(SimdLevel::detect()) {
+                    #[allow(unsafe_code, reason = "calling a function compiled for AVX-512")]
+                    // SAFETY: `detect` found these features. Tested: `all_levels_agree`.
+                    SimdLevel::Avx512 => return unsafe { with_avx512($($arg),*) },
+                    #[allow(unsafe_code, reason = "calling a function compiled for AVX2")]
+                    // SAFETY: `detect` found these features. Tested: `all_levels_agree`.
+                    SimdLevel::Avx2 => return unsafe { with_avx2($($arg),*) },
+                    SimdLevel::Portable => {}
+                }
+            }
+            _ = level;
+            $body($($arg),*);
+        }
+    };
+}
+
+dispatched! {
+    /// Bits of hidden lights for each receiver.
+    hidden_lights = hidden_lights_of(view: &View, receivers: &[Receiver], lights: &[LightPoint], hidden: &mut [u32])
+}
+dispatched! {
+    /// Whether each listed segment is occluded.
+    occluded = occluded_of(view: &View, segments: &[Segment], order: &[u32], found: &mut dyn FnMut(u32, bool))
+}
+dispatched! {
+    /// How far each listed segment reaches.
+    distances = distances_of(view: &View, segments: &[Segment], order: &[u32], found: &mut dyn FnMut(u32, f32))
+}
+dispatched! {
+    /// The direction-table cell of each segment.
+    cells = cells_of(segments: &[Segment], cells: &mut [u32])
+}
