@@ -30,6 +30,7 @@ pub use tree::TreeUpdate;
 
 use crate::visibility::{LightPoint, Receiver, Segment, Visibility, VisibilityError, light_words};
 use glam::DVec3;
+use manyview_shaders::testable::testable;
 use rayon::prelude::*;
 use thiserror::Error;
 use tree::{Bounds, Tree};
@@ -188,6 +189,7 @@ impl<'a> InstancedScene<'a> {
 
     /// The part of a segment within an instance's bounds, in object space.
     fn job(&self, owner: usize, segment: &Segment, index: u32) -> Option<Job> {
+        let segment = testable(segment)?;
         let instance = &self.instances[index as usize];
         let transform = &instance.world_from_object;
         let [origin, target] = [segment.origin, segment.target].map(|p| transform.object_point(point(p)));
@@ -223,7 +225,7 @@ impl<'a> InstancedScene<'a> {
             .par_iter()
             .enumerate()
             .map_init(Vec::new, |stack, (index, segment)| match undecided(index, 0.0) {
-                true if is_sensible(segment) => {
+                true if testable(segment).is_some() => {
                     self.tree.candidates(point(segment.origin), point(segment.target), stack)
                 }
                 _ => Vec::new(),
@@ -350,7 +352,15 @@ impl Visibility for InstancedScene<'_> {
                 *hidden |= answer;
             }
         }
-        if self.tree.is_empty() || words == 0 {
+        if words == 0 {
+            return Ok(());
+        }
+        receivers.par_iter().zip(hidden.par_chunks_mut(words)).for_each(|(receiver, hidden)| {
+            for (index, _) in lights.iter().enumerate().filter(|(_, light)| light.is_behind(receiver)) {
+                hidden[index / 32] |= 1 << (index % 32);
+            }
+        });
+        if self.tree.is_empty() {
             return Ok(());
         }
         // Whole words of lights for a tile of receivers, light after light: neighbours ask about the same instances.
@@ -383,12 +393,6 @@ impl Visibility for InstancedScene<'_> {
 
 fn point(v: [f32; 3]) -> DVec3 {
     DVec3::from_array(v.map(f64::from))
-}
-
-/// Whether a segment can hit anything at all.
-fn is_sensible(segment: &Segment) -> bool {
-    let numbers = [segment.origin, segment.target, segment.normal];
-    segment.origin != segment.target && numbers.as_flattened().iter().all(|number| number.is_finite())
 }
 
 /// Where a segment enters and leaves a box, as shares of its way.

@@ -17,6 +17,7 @@ use manyview::visibility::{Segment, Visibility, VisibilityError};
 use manyview_cache::archive::ArchiveWriter;
 use manyview_cache::atomic::{AtomicFile, AtomicFileError};
 use manyview_pipeline::bake::{BakeOptions, bake};
+use manyview_shaders::testable::testable;
 use serde_json::json;
 
 use super::Format;
@@ -55,8 +56,8 @@ pub(crate) struct Options {
     format: Format,
 }
 
-const RAYS_HELP: &str = "Coordinates are world space, metres. A segment that has no length, or a number that is not \
-finite, hits nothing. Ends may lie outside the scene.";
+const RAYS_HELP: &str = "Coordinates are world space, metres. A segment that has no length, or an end that is not \
+finite, hits nothing; a normal that is not finite counts as zeros. Ends may lie outside the scene.";
 
 /// Ways to test segments.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, ValueEnum)]
@@ -205,7 +206,7 @@ pub(crate) fn run(options: &Options) -> CliResult {
             if summary.senseless > 0 {
                 let rays = counted(summary.senseless, "ray");
                 eprintln!(
-                    "{rays} without length or with a number that is not finite: counted as hitting nothing"
+                    "{rays} without length, or with an end that is not finite: counted as hitting nothing"
                 );
             }
         }
@@ -246,7 +247,7 @@ fn answer<T: npy::Element>(
         }
         segments.clear();
         segments.extend(coordinates.chunks_exact(numbers).take(found).map(segment));
-        summary.senseless += segments.iter().filter(|segment| is_senseless(segment)).count() as u64;
+        summary.senseless += segments.iter().filter(|segment| testable(segment).is_none()).count() as u64;
         let begun = Instant::now();
         summary.hits += test(&segments, &mut answers[..found])? as u64;
         summary.seconds += begun.elapsed().as_secs_f64();
@@ -259,11 +260,6 @@ fn answer<T: npy::Element>(
 fn segment(numbers: &[f32]) -> Segment {
     let at = |from: usize| numbers.get(from..from + 3).map_or([0.0; 3], |v| [v[0], v[1], v[2]]);
     Segment { origin: at(0), target: at(3), normal: at(6) }
-}
-
-fn is_senseless(segment: &Segment) -> bool {
-    let numbers = [segment.origin, segment.target, segment.normal];
-    segment.origin == segment.target || !numbers.as_flattened().iter().all(|number| number.is_finite())
 }
 
 impl From<ReadError> for CliError {

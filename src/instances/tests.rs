@@ -184,6 +184,10 @@ fn no_instances_and_senseless_segments_hit_nothing() {
         let receiver = Receiver { position: [-3.0, 0.0, 0.0], normal: [0.0; 3] };
         scene.hidden_lights(&[receiver], &[LightPoint::at([3.0, 0.0, 0.0])], &mut hidden).unwrap();
         assert_eq!(hidden, [u32::from(hits)]);
+        let away = Receiver { normal: [-1.0, 0.0, 0.0], ..receiver };
+        let lights = [LightPoint::at([3.0, 0.0, 0.0]), LightPoint::at([-4.0, 0.0, 0.0])];
+        scene.hidden_lights(&[away], &lights, &mut hidden).unwrap();
+        assert_eq!(hidden, [1], "a light behind the surface is hidden by it");
         scene.hidden_lights(&[receiver], &[], &mut []).unwrap();
     }
 }

@@ -16,7 +16,7 @@ pub struct Errors {
     pub wrongly_hidden: u64,
     /// Pairs said to be visible that are not.
     pub wrongly_visible: u64,
-    /// Pairs whose light is on the side that the receiver faces: the others get no light anyway.
+    /// Pairs whose light is on the side that the receiver faces: the others are hidden by their own surface.
     pub facing: u64,
     /// Wrong ones of these.
     pub facing_wrong: u64,
@@ -42,7 +42,7 @@ impl Errors {
                 let facing = lights
                     .iter()
                     .enumerate()
-                    .fold(0u32, |mask, (bit, light)| mask | u32::from(faces(receiver, light)) << bit);
+                    .fold(0u32, |mask, (bit, light)| mask | u32::from(!light.is_behind(receiver)) << bit);
                 one.hidden += u64::from(truth.count_ones());
                 one.wrongly_hidden += u64::from((found & !truth).count_ones());
                 one.wrongly_visible += u64::from((truth & !found).count_ones());
@@ -96,16 +96,6 @@ impl Errors {
 
 fn percent(part: u64, whole: u64) -> f64 {
     if whole == 0 { 0.0 } else { 100.0 * part as f64 / whole as f64 }
-}
-
-fn faces(receiver: &Receiver, light: &LightPoint) -> bool {
-    let cosine: f32 = (0..3)
-        .map(|i| {
-            let target = light.offset[i] + light.position_weight * receiver.position[i];
-            (target - receiver.position[i]) * receiver.normal[i]
-        })
-        .sum();
-    cosine > 0.0
 }
 
 #[cfg(test)]
