@@ -9,13 +9,15 @@ use manyview_shaders::cases::Random;
 use manyview_shaders::directions::{DirectionSet, Fit};
 use std::sync::{Arc, mpsc};
 
+type Check = fn(&GpuContext) -> Result<(), Failed>;
+
 fn main() {
     let arguments = Arguments::from_args();
     let required = std::env::var("MANYVIEW_REQUIRE_GPU").is_ok_and(|value| value == "1");
     let context =
         GpuContext::open(&AdapterChoice::from_env()).map(Arc::new).map_err(|error| error.to_string());
     let found = context.is_ok();
-    let checks: [(&str, fn(&GpuContext) -> Result<(), Failed>); 2] = [
+    let checks: [(&str, Check); 2] = [
         ("tiles_of_a_texture_are_the_rows_of_their_directions", tiles_are_rows),
         ("more_points_than_there_is_room_for_are_an_error", too_many_points),
     ];
