@@ -207,12 +207,12 @@ fn main() -> Result<()> {
     }
     if options.ism {
         for resolution in [64, 128] {
-            for pull_levels in [0, 1, 2, 3] {
-                for steepest in [2.0, 4.0, 8.0] {
-                    for splat_scale in [1.0, 1.5] {
-                        for bias_texels in [1.0, 2.0, 4.0] {
+            for pull_levels in [0, 2] {
+                for steepest in [3.0, 6.0] {
+                    for splat_scale in [0.8, 1.2] {
+                        for bias_texels in [0.5, 0.75, 1.5] {
                             let default = IsmOptions::default();
-                            let options = IsmOptions {
+                            let ism = IsmOptions {
                                 resolution,
                                 pull_levels,
                                 steepest,
@@ -221,9 +221,9 @@ fn main() -> Result<()> {
                                 ..default
                             };
                             let label = format!(
-                                "{resolution} texels {pull_levels} {steepest} {splat_scale} {bias_texels}"
+                                "{resolution} texels, {pull_levels} levels {steepest}, splat {splat_scale}, bias {bias_texels}"
                             );
-                            bench.run(&label, &IsmVisibility::new(&reference, options), 4)?;
+                            bench.run(&label, &IsmVisibility::new(&reference, ism), 4)?;
                         }
                     }
                 }

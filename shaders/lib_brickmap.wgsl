@@ -85,10 +85,12 @@ fn march(origin: vec3<f32>, end: vec3<f32>, normal: vec3<f32>) -> f32 {
     var cell = clamp(vec3<i32>(start + along * t), vec3<i32>(0i), vec3<i32>(i32(brickmap.side) - 1i));
     var brick_at = vec3<u32>(BRICKMAP_EMPTY);
     var bits = vec2<u32>(0u);
+    finished = false;
     while steps_left > 0u {
         steps_left -= 1u;
         let empty = empty_bits(vec3<u32>(cell) ^ mirror, &brick_at, &bits);
         if empty == 32u {
+            finished = true;
             return t * length / scale;
         }
         // Out of the empty cube, through the nearest of its far planes: their distances follow start whole numbers
@@ -97,6 +99,7 @@ fn march(origin: vec3<f32>, end: vec3<f32>, normal: vec3<f32>) -> f32 {
         let planes = (vec3<f32>(far) - start) * inverse;
         t = max(t, min(planes.x, min(planes.y, planes.z)));
         if !(t < t_end) {
+            finished = true;
             return -1.0;
         }
         let next = clamp(vec3<i32>(start + along * t), cell, far - vec3<i32>(1i));
@@ -104,6 +107,7 @@ fn march(origin: vec3<f32>, end: vec3<f32>, normal: vec3<f32>) -> f32 {
         let y_first = !x_first && planes.y <= planes.z;
         cell = select(next, far, vec3<bool>(x_first, y_first, !x_first && !y_first));
         if any(cell >= vec3<i32>(i32(brickmap.side))) {
+            finished = true;
             return -1.0;
         }
     }

@@ -1,6 +1,6 @@
 // For every receiver and every light of a band: is the light hidden? One invocation does some lights of one receiver
 // and sets their bits. The stage's own method comes as `is_hidden(origin, end, normal) -> bool`, which counts
-// `steps_left` down (lib_rays.wgsl); what it reads is bound from METHOD_BINDING on.
+// `steps_left` down and says whether it `finished` (lib_rays.wgsl); what it reads is bound from METHOD_BINDING on.
 
 // First binding of the method's own.
 const METHOD_BINDING: u32 = 4u;
@@ -47,6 +47,8 @@ fn hide_lights(id: vec3<u32>) {
     let last = min(first + params.lights_per_invocation, params.lights);
     var bits = 0u;
     var exhausted = false;
+    // This loop too may be ended by a driver.
+    var visited = 0u;
     for (var i = first; i < last; i += 1u) {
         let light = lights[i];
         let offset = vec3<f32>(light.offset[0], light.offset[1], light.offset[2]);
@@ -54,16 +56,18 @@ fn hide_lights(id: vec3<u32>) {
         let ray = testable(position, end, normal);
         if ray.is_testable {
             steps_left = params.steps_per_ray;
+            finished = true;
             let along = end - position;
             let cosine = along.x * ray.normal.x + along.y * ray.normal.y + along.z * ray.normal.z;
             // What is not in front of a surface is hidden by it.
             let is_behind = any(ray.normal != vec3<f32>(0.0)) && !(cosine > 0.0);
             bits |= select(0u, 1u << (i & 31u), is_behind || is_hidden(ray.origin, ray.end, ray.normal));
-            exhausted = exhausted || steps_left == 0u;
+            exhausted = exhausted || !finished;
         }
+        visited |= 1u << (i & 31u);
     }
     atomicOr(&hidden[id.x * params.light_words + word], bits);
-    if exhausted {
+    if exhausted || countOneBits(visited) != max(last, first) - first {
         atomicStore(&hidden[params.exhausted_word], 1u);
     }
 }

@@ -4,6 +4,10 @@
 // job then tries again with more, or fails.
 var<private> steps_left: u32;
 
+// Set to false by a method before its loop, and to true where the loop ends because the ray does. Some drivers end loops
+// themselves once all lanes of an invocation's group have gone round 65,535 times, which `steps_left` cannot count.
+var<private> finished: bool;
+
 struct Testable {
     origin: vec3<f32>,
     // Not named `target`: that is a reserved word.

@@ -6,17 +6,31 @@ struct RowTestParams {
     bits: u32,
     steps_per_metre: vec3<f32>,
     normal_quarter: i32,
+    normal_steps: vec3<f32>,
     skip: i32,
     split: u32,
     consensus: u32,
     zero: u32,
+    reserved: u32,
+}
+
+struct PackedFrame {
+    words: array<vec4<u32>, 3>,
 }
 
 struct TestFrame {
-    raw_from_lattice: array<array<i32, 3>, 3>,
-    offset: array<i32, 3>,
-    voxel_from_world_normal: array<array<i32, 3>, 3>,
-    corner: array<u32, 3>,
+    raw_from_lattice: RowMatrix,
+    offset: vec3<i32>,
+    edge_squared: vec3<i32>,
+    // Texel of the tile.
+    corner: vec3<i32>,
+}
+
+// Rows of a matrix.
+struct RowMatrix {
+    u: vec3<i32>,
+    v: vec3<i32>,
+    w: vec3<i32>,
 }
 
 @group(0) @binding(METHOD_BINDING) var<uniform> row_params: RowTestParams;
@@ -25,7 +39,7 @@ struct TestFrame {
 // For each direction the tile that answers for it.
 @group(0) @binding(METHOD_BINDING + 2u) var<storage, read> tile_table: array<u32>;
 // One frame a tile.
-@group(0) @binding(METHOD_BINDING + 3u) var<storage, read> test_frames: array<TestFrame>;
+@group(0) @binding(METHOD_BINDING + 3u) var<storage, read> packed_frames: array<PackedFrame>;
 @group(0) @binding(METHOD_BINDING + 4u) var rows_texture: texture_2d_array<u32>;
 
 fn within(v: vec3<f32>, limit: f32) -> bool {
@@ -164,11 +178,35 @@ struct RowPlan {
     way_w: i32,
 }
 
-fn times(m: array<array<i32, 3>, 3>, v: vec3<i32>) -> vec3<i32> {
+fn low_half(word: u32) -> i32 {
+    return i32(word << 16u) >> 16u;
+}
+
+fn high_half(word: u32) -> i32 {
+    return i32(word) >> 16u;
+}
+
+fn test_frame(tile: u32) -> TestFrame {
+    let a = packed_frames[tile].words[0];
+    let b = packed_frames[tile].words[1];
+    let c = packed_frames[tile].words[2];
+    return TestFrame(
+        RowMatrix(
+            vec3<i32>(low_half(a.x), high_half(a.x), low_half(a.y)),
+            vec3<i32>(high_half(a.y), low_half(a.z), high_half(a.z)),
+            vec3<i32>(low_half(a.w), high_half(a.w), low_half(b.x)),
+        ),
+        vec3<i32>(i32(b.z), i32(b.w), i32(c.x)),
+        vec3<i32>(high_half(b.x), low_half(b.y), high_half(b.y)),
+        vec3<i32>(i32(c.y & 0xffffu), i32(c.y >> 16u), i32(c.z)),
+    );
+}
+
+fn times(m: RowMatrix, v: vec3<i32>) -> vec3<i32> {
     return vec3<i32>(
-        m[0][0] * v.x + m[0][1] * v.y + m[0][2] * v.z,
-        m[1][0] * v.x + m[1][1] * v.y + m[1][2] * v.z,
-        m[2][0] * v.x + m[2][1] * v.y + m[2][2] * v.z,
+        m.u.x * v.x + m.u.y * v.y + m.u.z * v.z,
+        m.v.x * v.x + m.v.y * v.y + m.v.z * v.z,
+        m.w.x * v.x + m.w.y * v.y + m.w.z * v.z,
     );
 }
 
@@ -185,12 +223,11 @@ fn row_part(at: vec2<i32>, start: i32, end: i32, upwards: bool) -> RowPart {
     return RowPart(row & vec2<i32>(size - 1), first, last, side * 2 - 1);
 }
 
-fn plan_rows(frame: u32, segment: LatticeSegment, normal_steps: vec3<i32>) -> RowPlan {
-    let matrix = test_frames[frame].raw_from_lattice;
-    let offset = test_frames[frame].offset;
-    let raw = times(matrix, segment.origin) + vec3<i32>(offset[0], offset[1], offset[2]);
+fn plan_rows(frame: TestFrame, segment: LatticeSegment, normal_steps: vec3<i32>) -> RowPlan {
+    let matrix = frame.raw_from_lattice;
+    let raw = times(matrix, segment.origin) + frame.offset;
     let way = times(matrix, segment.way);
-    let normal = times(test_frames[frame].voxel_from_world_normal, normal_steps);
+    let normal = (times(matrix, normal_steps) >> vec3<u32>(NORMAL_DROP)) * frame.edge_squared;
     let size = abs(normal);
     let largest = max(max(size.x, size.y), size.z);
     let eight = size * 8;
@@ -222,26 +259,24 @@ fn texels_a_row() -> i32 {
     return 1i << max(row_params.bits, 7u) >> 7u;
 }
 
-fn row_texel(frame: u32, row: vec2<i32>, texel: i32) -> vec4<u32> {
-    let corner = test_frames[frame].corner;
-    let at = vec2<i32>(i32(corner[0]) + row.x * texels_a_row() + texel, i32(corner[1]) + row.y);
-    return textureLoad(rows_texture, at, i32(corner[2]), 0);
+fn row_texel(corner: vec3<i32>, row: vec2<i32>, texel: i32) -> vec4<u32> {
+    return textureLoad(rows_texture, corner.xy + vec2<i32>(row.x * texels_a_row() + texel, row.y), corner.z, 0);
 }
 
 // A texel of a row with every bit spread to its neighbours; nothing outside the grid.
-fn beside(frame: u32, row: vec2<i32>, texel: i32) -> vec4<u32> {
+fn beside(corner: vec3<i32>, row: vec2<i32>, texel: i32) -> vec4<u32> {
     if ((row.x | row.y) & ~((1i << row_params.bits) - 1)) != 0 {
         return vec4<u32>(0u);
     }
-    let here = row_texel(frame, row, texel);
+    let here = row_texel(corner, row, texel);
     var before = 0u;
     var after = 0u;
     if texels_a_row() > 1 {
         if texel > 0 {
-            before = row_texel(frame, row, texel - 1).w;
+            before = row_texel(corner, row, texel - 1).w;
         }
         if texel + 1 < texels_a_row() {
-            after = row_texel(frame, row, texel + 1).x;
+            after = row_texel(corner, row, texel + 1).x;
         }
     }
     return here | (here << vec4<u32>(1u)) | (here >> vec4<u32>(1u))
@@ -249,23 +284,23 @@ fn beside(frame: u32, row: vec2<i32>, texel: i32) -> vec4<u32> {
 }
 
 // The bits of a part in one texel that count.
-fn found_bits(frame: u32, part: RowPart, texel: i32) -> vec4<u32> {
+fn found_bits(corner: vec3<i32>, part: RowPart, texel: i32) -> vec4<u32> {
     let word = vec4<i32>(0, 32, 64, 96) + vec4<i32>(128 * texel);
     let lowest = max(vec4<i32>(part.first) - word, vec4<i32>(0));
     let highest = min(vec4<i32>(part.last) - word, vec4<i32>(31));
     let mask = (vec4<u32>(0xffffffffu) >> vec4<u32>(31 - (highest - lowest))) << vec4<u32>(lowest);
-    var found = select(vec4<u32>(0u), row_texel(frame, part.row, texel) & mask, lowest <= highest);
+    var found = select(vec4<u32>(0u), row_texel(corner, part.row, texel) & mask, lowest <= highest);
     if row_params.consensus == 1u && any(found != vec4<u32>(0u)) {
-        found &= beside(frame, part.row + vec2<i32>(part.step.x, 0), texel);
+        found &= beside(corner, part.row + vec2<i32>(part.step.x, 0), texel);
         if any(found != vec4<u32>(0u)) {
-            found &= beside(frame, part.row + vec2<i32>(0, part.step.y), texel);
+            found &= beside(corner, part.row + vec2<i32>(0, part.step.y), texel);
         }
     }
     return found;
 }
 
 // The first bit of a part, seen from its start or from its end; -1 if there is none.
-fn first_bit(frame: u32, part: RowPart, upwards: bool) -> i32 {
+fn first_bit(corner: vec3<i32>, part: RowPart, upwards: bool) -> i32 {
     if part.first > part.last {
         return -1;
     }
@@ -273,7 +308,7 @@ fn first_bit(frame: u32, part: RowPart, upwards: bool) -> i32 {
     let highest = part.last >> 7u;
     for (var i = 0; i <= highest - lowest; i += 1) {
         let texel = select(highest - i, lowest + i, upwards);
-        let found = found_bits(frame, part, texel);
+        let found = found_bits(corner, part, texel);
         for (var k = 0; k < 4; k += 1) {
             let word = select(3 - k, k, upwards);
             if found[word] != 0u {
@@ -285,9 +320,9 @@ fn first_bit(frame: u32, part: RowPart, upwards: bool) -> i32 {
     return -1;
 }
 
-fn any_bit(frame: u32, part: RowPart) -> bool {
+fn any_bit(corner: vec3<i32>, part: RowPart) -> bool {
     for (var texel = part.first >> 7u; texel <= part.last >> 7u; texel += 1) {
-        if any(found_bits(frame, part, texel) != vec4<u32>(0u)) {
+        if any(found_bits(corner, part, texel) != vec4<u32>(0u)) {
             return true;
         }
     }
@@ -297,14 +332,15 @@ fn any_bit(frame: u32, part: RowPart) -> bool {
 struct RowTest {
     plan: RowPlan,
     segment: LatticeSegment,
-    frame: u32,
+    // Texel of the direction's tile.
+    corner: vec3<i32>,
 }
 
 fn row_test(origin: vec3<f32>, end: vec3<f32>, normal: vec3<f32>) -> RowTest {
     var test: RowTest;
     let way = end - origin;
     let from_center = lattice_from_world(origin);
-    var normal_steps = vec3<i32>(floor(normal * NORMAL_STEPS + 0.5));
+    var normal_steps = vec3<i32>(floor(normal * row_params.normal_steps));
     if within(from_center, NEAR_STEPS) {
         test.segment = cut_segment(from_center, way * row_params.steps_per_metre);
     } else {
@@ -316,15 +352,16 @@ fn row_test(origin: vec3<f32>, end: vec3<f32>, normal: vec3<f32>) -> RowTest {
     if test.segment.is_valid {
         let cell = table_cell(way);
         let direction = (table_cells[cell >> 1u] >> (16u * (cell & 1u))) & 0xffffu;
-        test.frame = tile_table[direction];
-        test.plan = plan_rows(test.frame, test.segment, normal_steps);
+        let frame = test_frame(tile_table[direction]);
+        test.corner = frame.corner;
+        test.plan = plan_rows(frame, test.segment, normal_steps);
     }
     return test;
 }
 
 fn is_hidden(origin: vec3<f32>, end: vec3<f32>, normal: vec3<f32>) -> bool {
     let test = row_test(origin, end, normal);
-    return test.segment.is_valid && (any_bit(test.frame, test.plan.near) || any_bit(test.frame, test.plan.far));
+    return test.segment.is_valid && (any_bit(test.corner, test.plan.near) || any_bit(test.corner, test.plan.far));
 }
 
 // Metres to the near face of the first voxel; negative where nothing is hit.
@@ -334,9 +371,9 @@ fn hit_distance(origin: vec3<f32>, end: vec3<f32>, normal: vec3<f32>) -> f32 {
         return -1.0;
     }
     let upwards = test.plan.way_w >= 0;
-    var bit = first_bit(test.frame, test.plan.near, upwards);
+    var bit = first_bit(test.corner, test.plan.near, upwards);
     if bit < 0 {
-        bit = first_bit(test.frame, test.plan.far, upwards);
+        bit = first_bit(test.corner, test.plan.far, upwards);
     }
     if bit < 0 {
         return -1.0;

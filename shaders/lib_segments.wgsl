@@ -1,6 +1,6 @@
 // For every segment: is it occluded, or how far is its first hit? One invocation does one segment. The stage's own method
 // comes as `is_hidden(origin, end, normal) -> bool` and `hit_distance(origin, end, normal) -> f32` (metres, negative where
-// nothing is hit), which count `steps_left` down (lib_rays.wgsl); what it reads is bound from METHOD_BINDING on.
+// nothing is hit), which count `steps_left` down and says whether it `finished` (lib_rays.wgsl); what it reads is bound from METHOD_BINDING on.
 
 // First binding of the method's own.
 const METHOD_BINDING: u32 = 3u;
@@ -33,13 +33,14 @@ fn test_segment(id: vec3<u32>) {
     var result = select(0u, INFINITY_BITS, params.wants_distance == 1u);
     if ray.is_testable {
         steps_left = params.steps_per_ray;
+        finished = true;
         if params.wants_distance == 1u {
             let distance = hit_distance(ray.origin, ray.end, ray.normal);
             result = select(INFINITY_BITS, bitcast<u32>(distance), distance >= 0.0);
         } else {
             result = select(0u, 1u, is_hidden(ray.origin, ray.end, ray.normal));
         }
-        if steps_left == 0u {
+        if !finished {
             results[params.exhausted_word] = 1u;
         }
     }

@@ -94,6 +94,7 @@ fn traverse(origin: vec3<f32>, end: vec3<f32>, normal: vec3<f32>, any_hit: bool)
     var depth = 0u;
     // Base index and, from bit 24 on, which children are still to be visited; below, which children are nodes.
     var group = vec2<u32>(0u, select(0u, 0x80000000u, tree.nodes > 0u));
+    finished = false;
     while steps_left > 0u {
         var primitives = vec2<u32>(0u);
         if group.y > 0x00ffffffu {
@@ -143,10 +144,12 @@ fn traverse(origin: vec3<f32>, end: vec3<f32>, normal: vec3<f32>, any_hit: bool)
             }
         }
         if any_hit && found > 0.0 {
+            finished = true;
             break;
         }
         if group.y <= 0x00ffffffu {
             if depth == 0u {
+                finished = primitives.y == 0u;
                 break;
             }
             depth -= 1u;

@@ -21,6 +21,8 @@ pub struct ExactRays<'a> {
 /// How far origins with a normal are lifted, as a share of the scene's diagonal. The rounding of a coordinate is less
 /// than 1e-7 of it.
 pub const LIFT: f64 = 1e-6;
+/// Or this share of the scene's largest coordinate, if that is more: four times what `f32` rounds it by.
+const ROUNDING: f64 = 2.4e-7;
 
 impl<'a> ExactRays<'a> {
     /// Takes the ray tracer.
@@ -33,7 +35,9 @@ impl<'a> ExactRays<'a> {
             .fold((first, first), |(min, max), &p| (min.min(p), max.max(p)));
         let diagonal = (max - min).length();
         let around = [min - diagonal * 0.01, max + diagonal * 0.01];
-        Self { reference, around, lift_metres: diagonal * LIFT }
+        // Far from the origin of the world, coordinates are rounded to more than that.
+        let rounding = min.abs().max(max.abs()).max_element() * ROUNDING;
+        Self { reference, around, lift_metres: (diagonal * LIFT).max(rounding) }
     }
 
     /// The ray tracer.

@@ -14,6 +14,8 @@ pub mod preview;
 pub mod rays;
 #[cfg(feature = "bake")]
 pub mod reference;
+#[cfg(feature = "bake")]
+pub mod render;
 pub mod rivals;
 pub mod scene_cpu;
 pub mod visibility;

@@ -11,7 +11,7 @@
 
 use glam::{DVec3, Vec3A};
 use manyview_pipeline::scene::Scene;
-use manyview_pipeline::triangles::{Cutouts, LatticeTriangles};
+use manyview_pipeline::triangles::{Cutouts, LatticeTriangles, TriangleRef};
 use manyview_shaders::masks::{TriangleMask, UNMASKED};
 use manyview_shaders::raster::BARYCENTRIC_ONE;
 use obvhs::BvhBuildParams;
@@ -40,6 +40,7 @@ pub struct Reference<'a> {
     /// start, however near the surfaces in them are looked for.
     back_metres: f64,
     triangles: Vec<[DVec3; 3]>,
+    sources: Vec<TriangleRef>,
     mask_of: Vec<u32>,
     cutouts: &'a Cutouts,
 }
@@ -51,11 +52,13 @@ impl<'a> Reference<'a> {
         let (min, max) = scene.bounds().unwrap_or_default();
         let center = (min + max) * 0.5;
         let mut triangles = Vec::with_capacity(drawn.sources.len());
+        let mut sources = Vec::with_capacity(drawn.sources.len());
         let mut mask_of = Vec::with_capacity(drawn.sources.len());
         for (index, source) in drawn.sources.iter().enumerate() {
             let triangle = world_triangle(scene, source.instance, source.triangle);
             if area_normal(&triangle).length_squared() > 0.0 {
                 triangles.push(triangle);
+                sources.push(*source);
                 mask_of.push(drawn.mask_of.get(index).copied().unwrap_or(UNMASKED));
             }
         }
@@ -71,12 +74,22 @@ impl<'a> Reference<'a> {
             false => build_cwbvh_from_tris(&rounded, BvhBuildParams::fast_build(), &mut Duration::default()),
         };
         let back_metres = 1.0 / 1024.0 + 1e-6 * (max - min).length();
-        Self { bvh, center, back_metres, triangles, mask_of, cutouts }
+        Self { bvh, center, back_metres, triangles, sources, mask_of, cutouts }
     }
 
     /// The triangles in world space, metres.
     pub fn triangles(&self) -> &[[DVec3; 3]] {
         &self.triangles
+    }
+
+    /// Which triangle of the scene each of [`Self::triangles`] is.
+    pub fn sources(&self) -> &[TriangleRef] {
+        &self.sources
+    }
+
+    /// For each triangle the index of its mask in [`Self::cutouts`], or [`UNMASKED`].
+    pub fn mask_indices(&self) -> &[u32] {
+        &self.mask_of
     }
 
     /// Index of a triangle's mask in [`Self::cutouts`], or [`UNMASKED`].

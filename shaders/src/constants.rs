@@ -3,7 +3,8 @@
 use crate::brickmap::{BRICKMAP_EMPTY, MIN_COSINE, MIN_DIRECTION};
 use crate::directions::{ROW_LATTICE, ROW_RAW_BITS};
 use crate::masks::{UNMASKED, WrapCode};
-use crate::row_test::{LONGEST, MAX_HALVINGS, NEAR_STEPS, NORMAL_STEPS, SHORTEST, TABLE_SIDE, TEST_RAW_BITS};
+use crate::raster::BARYCENTRIC_ONE;
+use crate::row_test::{LONGEST, MAX_HALVINGS, NEAR_STEPS, NORMAL_DROP, SHORTEST, TABLE_SIDE, TEST_RAW_BITS};
 use crate::testable::{MAX_NORMAL, MIN_LENGTH_SQUARED};
 use crate::wide_bvh::BVH_STACK;
 
@@ -35,6 +36,7 @@ pub fn wgsl() -> String {
         ("TEST_RAW_BITS", TEST_RAW_BITS),
         ("TABLE_SIDE", TABLE_SIDE),
         ("MAX_HALVINGS", MAX_HALVINGS),
+        ("NORMAL_DROP", NORMAL_DROP),
         ("INFINITY_BITS", f32::INFINITY.to_bits()),
         ("BRICKMAP_EMPTY", BRICKMAP_EMPTY),
         ("BVH_STACK", BVH_STACK),
@@ -42,12 +44,12 @@ pub fn wgsl() -> String {
     let mut lines: String =
         integers.iter().map(|(name, value)| format!("const {name}: u32 = {value}u;\n")).collect();
     lines.push_str(&format!("const PEEL_DEPTHS: f32 = {PEEL_DEPTHS}.0;\n"));
+    lines.push_str(&format!("const BARYCENTRIC_ONE: f32 = {BARYCENTRIC_ONE}.0;\n"));
     let floats = [
         ("MIN_LENGTH_SQUARED", MIN_LENGTH_SQUARED),
         ("MAX_NORMAL", MAX_NORMAL),
         ("ROW_LATTICE", ROW_LATTICE as f32),
         ("NEAR_STEPS", NEAR_STEPS),
-        ("NORMAL_STEPS", NORMAL_STEPS),
         ("LONGEST", LONGEST),
         ("SHORTEST", SHORTEST),
         ("MIN_DIRECTION", MIN_DIRECTION),

@@ -12,6 +12,7 @@ mod points;
 mod rows;
 mod segments;
 mod triangles;
+mod visible;
 
 pub use fragments::fragments;
 pub use hidden_lights::hidden_lights;
@@ -19,6 +20,7 @@ pub use peel::peel;
 pub use points::rotate_points;
 pub use rows::raster_rows;
 pub use segments::{MethodStage, occluded_segments, segment_distances};
+pub use visible::{VisibleBatch, visible_triangles};
 
 use crate::device::DeviceError;
 use crate::executor::{BufferId, DepthId, Executor};

@@ -32,24 +32,32 @@ pub const NEAR_STEPS: f32 = 2.0 * ROW_LATTICE as f32;
 pub const LONGEST: f32 = 1e30;
 /// See [`LONGEST`].
 pub const SHORTEST: f32 = 1e-30;
-/// Unit normals are rounded to this many steps.
-pub const NORMAL_STEPS: f32 = 1024.0;
+/// Unit normals in lattice space have at most this many steps along an axis.
+pub const NORMAL_STEPS: f32 = 4096.0;
+/// What is dropped of a normal before it is scaled by a voxel's edges.
+pub const NORMAL_DROP: u32 = 14;
 /// Halvings of a segment whose ends are both far outside the scene, until it is near or missed.
 pub const MAX_HALVINGS: u32 = 128;
 
-/// One direction of the rows as the test needs it, 96 bytes.
-#[repr(C)]
-#[derive(Debug, Clone, Copy, PartialEq, Eq, Pod, Zeroable)]
+/// One direction of the rows as the test needs it.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub struct TestFrame {
     /// Rows of the matrix from lattice steps to raw coordinates along u, v, w; each entry at most 2^12.
     pub raw_from_lattice: [[i32; 3]; 3],
     /// Added to each raw coordinate.
     pub offset: [i32; 3],
-    /// Rows of the matrix from a world normal ([`NORMAL_STEPS`]) to the normal in voxels, of any length; each entry at
-    /// most 2^10.
-    pub voxel_from_world_normal: [[i32; 3]; 3],
-    /// The texel (x, y, layer) at the corner of the direction's tile; 0 where rows are in memory.
-    pub corner: [u32; 3],
+    /// A voxel's edge along u, v and w, squared, in a unit of the direction's own: at most 2^15. The inverse transpose
+    /// of a matrix with orthogonal axes is the matrix times these, which turns normals.
+    pub edge_squared: [i32; 3],
+}
+
+/// A [`TestFrame`] for shaders, with the corner of its tile, 48 bytes.
+#[repr(C)]
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Pod, Zeroable)]
+pub struct PackedFrame {
+    /// Nine matrix entries row by row and the first of the squared edges, 16 bits each, the first in the low half; the
+    /// other two squared edges; the three offsets; the corner's x and, in the upper half, y; its layer; zero.
+    pub words: [u32; 12],
 }
 
 impl TestFrame {
@@ -57,26 +65,42 @@ impl TestFrame {
     pub fn new(frame: &DirectionFrame, lattice: &RowLattice) -> Self {
         let drop = ROW_RAW_BITS - TEST_RAW_BITS;
         let rounded = |c: i32| (c + (1 << (drop - 1))) >> drop;
-        // Rows of the inverse transpose: with orthogonal axes, each axis over its squared length.
         let (matrix, _) = frame.voxel_from_world(lattice, 7);
-        let normals = matrix.map(|row| {
+        let edges = matrix.map(|row| {
             let squared: f64 = row.iter().map(|c| c * c).sum();
-            row.map(|c| if squared > 0.0 { c / squared } else { 0.0 })
+            if squared > 0.0 { 1.0 / squared } else { 0.0 }
         });
-        let largest = normals.as_flattened().iter().fold(0.0f64, |a, b| a.max(b.abs()));
-        let scale = if largest > 0.0 { f64::from(NORMAL_STEPS) / largest } else { 0.0 };
+        let largest = edges.iter().fold(f64::MIN_POSITIVE, |a, b| a.max(*b));
         Self {
             raw_from_lattice: frame.row_from_lattice.map(|row| row.map(rounded)),
             offset: frame.offset.map(rounded),
-            voxel_from_world_normal: normals.map(|row| row.map(|c| (c * scale + 0.5).floor() as i32)),
-            corner: [0; 3],
+            edge_squared: edges.map(|edge| ((edge / largest * 32767.0) as i32).max(1)),
         }
     }
 
-    /// With the corner of its tile in a rows texture.
-    #[must_use]
-    pub fn with_corner(self, corner: [u32; 3]) -> Self {
-        Self { corner, ..self }
+    /// For shaders; `corner` is the texel (x, y, layer) at the corner of the direction's tile.
+    pub fn packed(&self, corner: [u32; 3]) -> PackedFrame {
+        let mut words = [0u32; 12];
+        let halves = self.raw_from_lattice.as_flattened().iter().chain(&self.edge_squared);
+        for (i, &half) in halves.enumerate() {
+            words[i / 2] |= u32::from(half as u16) << (16 * (i % 2));
+        }
+        words[6..9].copy_from_slice(&self.offset.map(|c| c as u32));
+        words[9] = corner[0] | corner[1] << 16;
+        words[10] = corner[2];
+        PackedFrame { words }
+    }
+}
+
+impl PackedFrame {
+    /// As it was packed.
+    pub fn unpacked(&self) -> TestFrame {
+        let half = |i: usize| i32::from((self.words[i / 2] >> (16 * (i % 2))) as i16);
+        TestFrame {
+            raw_from_lattice: [0, 3, 6].map(|i| [half(i), half(i + 1), half(i + 2)]),
+            offset: [6, 7, 8].map(|i| self.words[i] as i32),
+            edge_squared: [half(9), half(10), half(11)],
+        }
     }
 }
 
@@ -120,7 +144,7 @@ impl Default for TestSettings {
     }
 }
 
-/// What the test needs to know of an archive, 48 bytes.
+/// What the test needs to know of an archive, 64 bytes.
 #[repr(C)]
 #[derive(Debug, Clone, Copy, PartialEq, Pod, Zeroable)]
 pub struct RowTestParams {
@@ -132,6 +156,8 @@ pub struct RowTestParams {
     pub steps_per_metre: [f32; 3],
     /// [`TestSettings::normal_voxels`], a quarter of it, in raw steps.
     pub normal_quarter: i32,
+    /// Steps of a unit normal along each axis of the lattice, at most [`NORMAL_STEPS`].
+    pub normal_steps: [f32; 3],
     /// [`TestSettings::skip_voxels`] in raw steps.
     pub skip: i32,
     /// 1 for [`Rows::Split`].
@@ -140,6 +166,8 @@ pub struct RowTestParams {
     pub consensus: u32,
     /// Zero. Shaders combine floats with it where a compiler must not fuse a product with a sum.
     pub zero: u32,
+    /// Zero.
+    pub reserved: u32,
 }
 
 impl RowTestParams {
@@ -147,16 +175,25 @@ impl RowTestParams {
     pub fn new(lattice: &RowLattice, bits: u32, settings: &TestSettings) -> Self {
         let voxel = (1u32 << (TEST_RAW_BITS - bits)) as f32;
         let raw = |voxels: f32| (voxels.clamp(0.0, 16.0) * voxel) as i32;
+        let smallest = lattice.half_extent.iter().fold(f64::INFINITY, |a, b| a.min(*b));
         Self {
             center: lattice.center.map(|c| c as f32),
             bits,
             steps_per_metre: lattice.half_extent.map(|h| (f64::from(ROW_LATTICE) / h) as f32),
+            normal_steps: lattice.half_extent.map(|h| (f64::from(NORMAL_STEPS) * smallest / h) as f32),
             normal_quarter: raw(settings.normal_voxels) / 4,
             skip: raw(settings.skip_voxels),
             split: u32::from(settings.rows == Rows::Split),
             consensus: u32::from(settings.consensus),
             zero: 0,
+            reserved: 0,
         }
+    }
+
+    /// A unit normal in steps, as a normal is turned by the lattice's inverse.
+    #[inline(always)]
+    pub fn normal_in_steps(&self, normal: [f32; 3]) -> [i32; 3] {
+        [0, 1, 2].map(|i| whole((normal[i] * self.normal_steps[i]).floor()))
     }
 
     /// A world position in lattice steps from the centre.
@@ -384,13 +421,6 @@ pub fn cut_far_segment(origin: [f32; 3], target: [f32; 3]) -> LatticeSegment {
     }
 }
 
-/// A unit normal in steps.
-#[inline(always)]
-pub fn normal_steps(normal: [f32; 3]) -> [i32; 3] {
-    // The product with a power of two is exact, so that fusing it with the sum changes nothing.
-    normal.map(|c| whole((c * NORMAL_STEPS + 0.5).floor()))
-}
-
 /// Part of a row to look at. Empty if `first > last`.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Default)]
 pub struct RowPart {
@@ -434,7 +464,7 @@ fn lifted(normal: i32, largest: i32, quarter: i32) -> i32 {
 
 /// Which rows a segment looks at in its direction, and which bits.
 ///
-/// `normal` is in [`normal_steps`]; zero for a free origin.
+/// `normal` is [`RowTestParams::normal_in_steps`]; zero for a free origin.
 #[inline(always)]
 pub fn plan_rows(
     params: &RowTestParams,
@@ -445,7 +475,8 @@ pub fn plan_rows(
     let raw = frame.raw_from_lattice.map(|row| dot(row, segment.origin));
     let raw = [0, 1, 2].map(|a| raw[a].wrapping_add(frame.offset[a]));
     let way = frame.raw_from_lattice.map(|row| dot(row, segment.way));
-    let normal = frame.voxel_from_world_normal.map(|row| dot(row, normal));
+    let turned = frame.raw_from_lattice.map(|row| dot(row, normal) >> NORMAL_DROP);
+    let normal = [0, 1, 2].map(|a| turned[a].wrapping_mul(frame.edge_squared[a]));
     let [a, b, c] = normal.map(i32::wrapping_abs);
     let ab = if a > b { a } else { b };
     let largest = if ab > c { ab } else { c };

@@ -3,8 +3,8 @@
 use crate::executor::CpuBinding;
 use crate::row_bits::DirectionBits;
 use crate::row_test::{
-    LatticeSegment, NEAR_STEPS, RowPlan, RowTestParams, TEST_RAW_BITS, TestFrame, all_within,
-    cut_far_segment, cut_segment, normal_steps, plan_rows, table_cell,
+    LatticeSegment, NEAR_STEPS, PackedFrame, RowPlan, RowTestParams, TEST_RAW_BITS, all_within,
+    cut_far_segment, cut_segment, plan_rows, table_cell,
 };
 use crate::rows_texture::RowsImage;
 use crate::types::Segment;
@@ -15,7 +15,7 @@ pub struct RowView<'a> {
     params: RowTestParams,
     cells: &'a [u32],
     tiles: &'a [u32],
-    frames: &'a [TestFrame],
+    frames: &'a [PackedFrame],
     image: &'a RowsImage,
 }
 
@@ -54,7 +54,10 @@ impl<'a> RowView<'a> {
         let from_center = self.params.lattice_from_world(origin);
         let (cut, normal) = if all_within(from_center, NEAR_STEPS) {
             let steps = self.params.steps_per_metre;
-            (cut_segment(from_center, [0, 1, 2].map(|i| way[i] * steps[i])), normal_steps(normal))
+            (
+                cut_segment(from_center, [0, 1, 2].map(|i| way[i] * steps[i])),
+                self.params.normal_in_steps(normal),
+            )
         } else {
             // So far away no surface is the origin's.
             (cut_far_segment(from_center, self.params.lattice_from_world(target)), [0; 3])
@@ -71,7 +74,7 @@ impl<'a> RowView<'a> {
             bits: self.params.bits,
             consensus: self.params.consensus == 1,
         };
-        Some((cut, plan_rows(&self.params, &self.frames[tile as usize], &cut, normal), bits))
+        Some((cut, plan_rows(&self.params, &self.frames[tile as usize].unpacked(), &cut, normal), bits))
     }
 }
 

@@ -18,7 +18,7 @@ pub enum BindingKind {
     Uniform,
     /// A buffer to read.
     Read,
-    /// A buffer to read and write.
+    /// A buffer to read and write; of a depth stage by its fragments alone.
     ReadWrite,
     /// A depth image to read.
     Depth,
@@ -129,4 +129,5 @@ stages! {
         Compute { workgroup_size: [64, 1, 1] };
     wide_bvh_segments(lib_rays, lib_segments, lib_masks, lib_wide_bvh)
         [Uniform, Read, ReadWrite, Uniform, Read, Read, Read, Read, Read] Compute { workgroup_size: [64, 1, 1] };
+    visible_triangles(lib_masks) [Uniform, Read, Read, Read, Read, Depth, ReadWrite] Depth;
 }

@@ -5,7 +5,7 @@ use crate::device::PackedFragment;
 use crate::directions::DirectionFrame;
 use crate::masks::{AlphaPlane, TexelMap, TriangleMask, UNMASKED, WrapCode, wrap_texel};
 use crate::raster::{Grid, VoxelBox};
-use crate::row_test::{RowTestParams, TestFrame};
+use crate::row_test::{PackedFrame, RowTestParams};
 use crate::testable::{is_behind, testable};
 use bytemuck::{Pod, Zeroable};
 use std::mem::offset_of;
@@ -217,6 +217,57 @@ pub struct PeelView {
     pub window_y: i32,
 }
 
+/// A camera's picture, 80 bytes. Vectors are along world axes.
+#[repr(C)]
+#[derive(Debug, Clone, Copy, PartialEq, Pod, Zeroable)]
+pub struct ViewParams {
+    /// From the eye to the middle of the picture at distance 1.
+    pub forward: [f32; 3],
+    /// What is nearer along `forward` is not drawn.
+    pub near_metres: f32,
+    /// From the middle of the picture to its right edge at distance 1.
+    pub right: [f32; 3],
+    /// Nothing is farther along `forward`.
+    pub far_metres: f32,
+    /// From the middle of the picture to its upper edge at distance 1.
+    pub up: [f32; 3],
+    /// Pixels a row.
+    pub width: u32,
+    /// `right` over its squared length.
+    pub right_over_square: [f32; 3],
+    /// Rows.
+    pub height: u32,
+    /// `up` over its squared length.
+    pub up_over_square: [f32; 3],
+    /// 0 to keep the nearest distances, 1 to collect the triangles there.
+    pub collect: u32,
+}
+
+/// A triangle as it is seen from a camera, 44 bytes.
+#[repr(C)]
+#[derive(Debug, Clone, Copy, PartialEq, Pod, Zeroable)]
+pub struct EyeTriangle {
+    /// Along world axes, from the eye, metres: x y z of vertex 0 first.
+    pub vertices: [f32; 9],
+    /// Index of its mask, or [`UNMASKED`].
+    pub mask: u32,
+    /// Its number, which is found where it is seen.
+    pub index: u32,
+}
+
+impl EyeTriangle {
+    /// Packs a triangle.
+    pub fn new(vertices: [[f32; 3]; 3], mask: u32, index: u32) -> Self {
+        let [[a, b, c], [d, e, f], [g, h, i]] = vertices;
+        Self { vertices: [a, b, c, d, e, f, g, h, i], mask, index }
+    }
+
+    /// Its vertices.
+    pub fn vertices(&self) -> [[f32; 3]; 3] {
+        [0, 3, 6].map(|at| [0, 1, 2].map(|i| self.vertices[at + i]))
+    }
+}
+
 /// What is asked of a segment test: is anything between two points? 36 bytes.
 #[repr(C)]
 #[derive(Debug, Clone, Copy, PartialEq, Default, Pod, Zeroable)]
@@ -369,8 +420,10 @@ macro_rules! gpu_structs {
 }
 
 gpu_structs! {
-    RowTestParams { center, bits, steps_per_metre, normal_quarter, skip, split, consensus, zero }
-    TestFrame { raw_from_lattice, offset, voxel_from_world_normal, corner }
+    RowTestParams {
+        center, bits, steps_per_metre, normal_quarter, normal_steps, skip, split, consensus, zero, reserved,
+    }
+    PackedFrame { words }
     RasterParams {
         clip_min, grid_bits, clip_max, sub_bits, bit_stride, direction_stride, triangles, directions, capacity, reserved,
     }
@@ -392,4 +445,8 @@ gpu_structs! {
     SegmentParams { segments, wants_distance, steps_per_ray, exhausted_word }
     WideBvhParams { center, lift, nodes, reserved_a, reserved_b, reserved_c }
     BrickmapParams { origin, cells_per_metre, side, coarse_bits, normal_cells, skip_cells }
+    ViewParams {
+        forward, near_metres, right, far_metres, up, width, right_over_square, height, up_over_square, collect,
+    }
+    EyeTriangle { vertices, mask, index }
 }

@@ -38,6 +38,17 @@ pub(crate) fn read_camera(path: &Path) -> Result<Camera, CliError> {
     parse_camera(&value).map_err(fail)
 }
 
+/// The chosen camera as a line that can be made a camera file of.
+pub(crate) fn describe(camera: &Camera) -> String {
+    let vector = |v: DVec3| format!("[{:.4}, {:.4}, {:.4}]", v.x, v.y, v.z);
+    format!(
+        "camera: {{\"eye\": {}, \"target\": {}, \"fov\": {}}}",
+        vector(camera.eye),
+        vector(camera.target),
+        camera.fov_degrees
+    )
+}
+
 fn parse_camera(value: &Value) -> Result<Camera, String> {
     let Value::Object(fields) = value else { return Err("not a table of fields".to_owned()) };
     if let Some(unknown) = fields.keys().find(|key| !["eye", "target", "up", "fov"].contains(&key.as_str())) {

@@ -5,6 +5,7 @@ mod bake;
 mod bench;
 mod camera_file;
 mod cancel;
+mod compare;
 mod diff;
 mod error;
 mod inspect;
@@ -12,6 +13,7 @@ mod output;
 mod preview;
 mod progress;
 mod rays;
+mod render;
 mod scene;
 mod verify;
 mod voxels;
@@ -52,6 +54,10 @@ enum Command {
     Rays(rays::Options),
     /// Measures voxels and rows against exact references
     Bench(bench::Args),
+    /// Draws a scene in the light of many lights
+    Render(render::Options),
+    /// Measures how far two pictures are apart
+    Compare(compare::Options),
     /// Draws the octree, a slice of it, or the rows of a direction
     Preview(preview::Options),
 }
@@ -81,6 +87,8 @@ pub(crate) fn main() -> ExitCode {
         Command::Rays(options) => rays::run(options),
         Command::Bench(options) => bench::run_command(options),
         Command::Preview(options) => preview::run(options),
+        Command::Render(options) => render::run(options),
+        Command::Compare(options) => compare::run(options),
     });
     match result {
         Ok(Ok(exit)) => exit.into(),

@@ -8,13 +8,13 @@ use clap::ValueEnum;
 use glam::DVec3;
 use manyview::Archive;
 use manyview::preview::{
-    Axis, Camera, CameraChoice, Mode, Picture, PictureFormat, Scene, ViewSettings, choose_camera,
-    picture_rows, picture_slice, picture_view, write_picture,
+    Axis, CameraChoice, Mode, Picture, PictureFormat, Scene, ViewSettings, choose_camera, picture_rows,
+    picture_slice, picture_view, write_picture,
 };
 use manyview_shaders::directions::DirectionSet;
 use manyview_shaders::sections::SceneInfo;
 
-use super::camera_file::read_camera;
+use super::camera_file::{describe, read_camera};
 use super::cancel;
 use super::error::{CliError, CliResult, Exit};
 
@@ -237,17 +237,6 @@ fn view_picture(archive: &Archive, options: &Options, level: u32) -> Result<Pict
         extent: (bounds[1] - bounds[0]).max_element(),
     };
     Ok(picture_view(&scene, &camera, &settings, cancel::watch())??)
-}
-
-/// The chosen camera as a line that can be made a camera file of.
-fn describe(camera: &Camera) -> String {
-    let vector = |v: DVec3| format!("[{:.4}, {:.4}, {:.4}]", v.x, v.y, v.z);
-    format!(
-        "camera: {{\"eye\": {}, \"target\": {}, \"fov\": {}}}",
-        vector(camera.eye),
-        vector(camera.target),
-        camera.fov_degrees
-    )
 }
 
 fn scene_bounds(info: &SceneInfo) -> [DVec3; 2] {

@@ -50,7 +50,10 @@ fn make(device: &wgpu::Device, stage: &Stage) -> StagePipeline {
         .zip(stage.bindings)
         .map(|(binding, kind)| wgpu::BindGroupLayoutEntry {
             binding,
-            visibility,
+            visibility: match (stage.kind, kind) {
+                (Kind::Depth { .. }, BindingKind::ReadWrite) => wgpu::ShaderStages::FRAGMENT,
+                _ => visibility,
+            },
             ty: match kind {
                 BindingKind::Uniform => buffer(wgpu::BufferBindingType::Uniform),
                 BindingKind::Read => buffer(wgpu::BufferBindingType::Storage { read_only: true }),

@@ -127,6 +127,11 @@ impl RayMaker {
         2.0 * self.up.length() / self.size[1]
     }
 
+    /// From the middle of the picture to its right and its upper edge, at distance 1.
+    pub fn half_axes(&self) -> [DVec3; 2] {
+        [self.right, self.up]
+    }
+
     /// Unit vector along the middle of the view.
     pub fn forward(&self) -> DVec3 {
         self.forward

@@ -53,15 +53,16 @@ fn exposure(colors: impl Iterator<Item = Vec3>) -> f32 {
 
 fn expose_by(width: u32, height: u32, color: Vec<[f32; 3]>, exposure: f32) -> Picture {
     let display = color.par_iter().map(|&c| picture::display(c.map(|c| tone_mapped(c * exposure)))).collect();
-    Picture { width, height, color, display, layers: Vec::new() }
+    Picture { width, height, color, display, layers: Vec::new(), note: None }
 }
 
-fn luminance(color: Vec3) -> f32 {
+/// Luminance of a linear colour.
+pub(crate) fn luminance(color: Vec3) -> f32 {
     color.dot(Vec3::new(0.2126, 0.7152, 0.0722))
 }
 
 /// Narkowicz's fit (2015) of the ACES curve.
-fn tone_mapped(c: f32) -> f32 {
+pub(crate) fn tone_mapped(c: f32) -> f32 {
     let c = if c > 0.0 { c.min(1e4) * 0.7 } else { 0.0 };
     (c * (2.51 * c + 0.03)) / (c * (2.43 * c + 0.59) + 0.14)
 }

@@ -21,9 +21,14 @@ pub use camera::{Camera, CameraError, RayMaker};
 pub use choose::{CameraChoice, choose_camera};
 pub use octree::{Hit, Octree, Ray};
 #[cfg(feature = "bake")]
-pub use output::{PictureFormat, write_exr, write_picture, write_png};
+pub use output::{NOTE_ATTRIBUTE, PictureFormat, write_exr, write_picture, write_png};
 pub use picture::{Extra, Picture};
 pub use rows::picture_rows;
 pub use scene::{Scene, face_normal};
 pub use slice::{Axis, picture_slice};
 pub use view::{Cancelled, Mode, ViewSettings, picture_view};
+#[cfg(feature = "bake")]
+pub(crate) use {
+    filter::{luminance, tone_mapped},
+    picture::{display, heat},
+};

@@ -4,13 +4,16 @@ use std::io::{self, Seek, Write};
 use std::path::Path;
 
 use exr::prelude::{
-    AnyChannel, AnyChannels, Compression, Encoding, FlatSamples, Image, Layer, LayerAttributes, LineOrder,
-    SmallVec, WritableImage,
+    AnyChannel, AnyChannels, AttributeValue, Compression, Encoding, FlatSamples, Image, Layer,
+    LayerAttributes, LineOrder, SmallVec, WritableImage,
 };
 use image::{ExtendedColorType, ImageEncoder, codecs::png};
 use manyview_cache::atomic::{AtomicFile, AtomicFileError};
 
 use super::picture::{Extra, Picture};
+
+/// The EXR attribute that holds [`Picture::note`].
+pub const NOTE_ATTRIBUTE: &str = "manyview";
 
 /// A kind of picture file.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
@@ -65,8 +68,9 @@ pub fn write_exr(file: &mut (impl Write + Seek), picture: &Picture) -> io::Resul
     for (layer, extra) in &picture.layers {
         match extra {
             Extra::Scalar(values) => channels.push(plane(format!("{layer}.Z"), values.iter().copied())),
-            Extra::Vector(values) => {
-                for (i, name) in ["X", "Y", "Z"].into_iter().enumerate() {
+            Extra::Vector(values) | Extra::Color(values) => {
+                let names = if matches!(extra, Extra::Color(_)) { ["R", "G", "B"] } else { ["X", "Y", "Z"] };
+                for (i, name) in names.into_iter().enumerate() {
                     channels.push(plane(format!("{layer}.{name}"), values.iter().map(|v| v[i])));
                 }
             }
@@ -78,6 +82,12 @@ pub fn write_exr(file: &mut (impl Write + Seek), picture: &Picture) -> io::Resul
         line_order: LineOrder::Increasing,
         blocks: exr::image::Blocks::ScanLines,
     };
-    let layer = Layer::new(size, LayerAttributes::default(), encoding, AnyChannels::sort(channels));
+    let mut attributes = LayerAttributes::default();
+    if let Some(note) = &picture.note {
+        // One attribute for all: `exr` writes several in the random order of a hash map.
+        let text = AttributeValue::Text(note.as_str().into());
+        attributes.other.insert(NOTE_ATTRIBUTE.into(), text);
+    }
+    let layer = Layer::new(size, attributes, encoding, AnyChannels::sort(channels));
     Image::from_layer(layer).write().to_buffered(file).map_err(io::Error::other)
 }

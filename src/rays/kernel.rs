@@ -7,7 +7,7 @@
 use manyview_shaders::row_bits::{DirectionBits, row_mask, row_of_128};
 use manyview_shaders::row_test::{
     LatticeSegment, NEAR_STEPS, RowPart, RowPlan, RowTestParams, TestFrame, all_within, cut_far_segment,
-    cut_segment, normal_steps, plan_rows, table_cell, whole,
+    cut_segment, plan_rows, table_cell, whole,
 };
 use manyview_shaders::row_view::first_share;
 use manyview_shaders::testable::{MAX_NORMAL, MIN_LENGTH_SQUARED, testable};
@@ -113,7 +113,7 @@ impl Origins {
             let is_usable = all_within(normal, MAX_NORMAL);
             let normal = if is_usable { normal } else { [0.0; 3] };
             let steps = if is_near { lattice.map(|c| whole(c.floor())) } else { [0; 3] };
-            let normal_steps = normal_steps(normal);
+            let normal_steps = params.normal_in_steps(normal);
             for i in 0..3 {
                 origins.position[i][lane] = position[i];
                 origins.normal[i][lane] = normal[i];

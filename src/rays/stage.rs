@@ -5,7 +5,7 @@ use crate::visibility::{MethodStages, StageVisibility, VisibilityError};
 use manyview_shaders::device::DeviceError;
 use manyview_shaders::directions::{DirectionFrame, DirectionSet, RowLattice};
 use manyview_shaders::executor::{Binding, CpuExecutor, Executor, ExecutorLimits, Recording};
-use manyview_shaders::row_test::{DirectionTable, RowTestParams, TestFrame, packed_cells};
+use manyview_shaders::row_test::{DirectionTable, PackedFrame, RowTestParams, TestFrame, packed_cells};
 use manyview_shaders::rows_texture::RowsTexture;
 use manyview_shaders::stages;
 
@@ -61,7 +61,7 @@ pub struct RowTables {
     /// Binding 1: for each cell of the direction table the direction, two cells a word.
     pub cells: Vec<u32>,
     /// Binding 3: one frame a tile.
-    pub frames: Vec<TestFrame>,
+    pub frames: Vec<PackedFrame>,
 }
 
 impl RowTables {
@@ -74,7 +74,7 @@ impl RowTables {
         settings: &TestSettings,
     ) -> Self {
         let with_corner = |(tile, frame): (u32, &DirectionFrame)| {
-            TestFrame::new(frame, lattice).with_corner(layout.tile_origin(tile))
+            TestFrame::new(frame, lattice).packed(layout.tile_origin(tile))
         };
         Self {
             params: RowTestParams::new(lattice, layout.bits(), settings),

@@ -82,3 +82,26 @@ pub trait Visibility: Sync {
 pub fn light_words(lights: usize) -> usize {
     lights.div_ceil(32)
 }
+
+impl<V: Visibility + ?Sized> Visibility for &V {
+    fn name(&self) -> &'static str {
+        (**self).name()
+    }
+
+    fn occluded(&self, segments: &[Segment], occluded: &mut [u8]) -> Result<(), VisibilityError> {
+        (**self).occluded(segments, occluded)
+    }
+
+    fn distances(&self, segments: &[Segment], distances: &mut [f32]) -> Result<(), VisibilityError> {
+        (**self).distances(segments, distances)
+    }
+
+    fn hidden_lights(
+        &self,
+        receivers: &[Receiver],
+        lights: &[LightPoint],
+        hidden: &mut [u32],
+    ) -> Result<(), VisibilityError> {
+        (**self).hidden_lights(receivers, lights, hidden)
+    }
+}

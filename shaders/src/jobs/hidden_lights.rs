@@ -9,8 +9,8 @@ use crate::types::{HiddenLightsParams, LightPoint, Receiver};
 
 /// Invocations of a workgroup, all along the receivers.
 const WORKGROUP: usize = 64;
-/// Some drivers end a loop after 65,535 iterations of an invocation in all, whatever it had left to do. So the rays of
-/// 32 lights get 1,984 each, beside the loop over the lights;
+/// Some drivers end a loop after 65,535 iterations of an invocation in all, whatever it had left to do; shaders notice.
+/// The rays of 32 lights get 1,984 each, beside the loop over the lights;
 const STEPS_OF_32: u32 = 1_984;
 /// a ray that needs more is tested again in an invocation of its own.
 pub(super) const STEPS_OF_ONE: u32 = 65_000;

@@ -6,7 +6,7 @@ use crate::device::{DeviceError, TriangleBatch};
 use crate::executor::{Binding, BufferId, ExecutorLimits, Recording};
 use crate::masks::{AlphaPlane, TriangleMask, UNMASKED};
 use crate::stages::Stage;
-use crate::types::{LargeItem, PackedPlane, PackedTriangle, RasterParams, pack_planes};
+use crate::types::{EyeTriangle, LargeItem, PackedPlane, PackedTriangle, RasterParams, pack_planes};
 use std::ops::Range;
 
 /// Buffers of a piece, in the order of bindings 2 ..= 5 of the stages that rasterize.
@@ -23,15 +23,16 @@ pub(super) type PieceJob<'a> =
     dyn FnMut(&mut Workspace, TriangleBuffers, &[PackedTriangle]) -> Result<(), DeviceError> + 'a;
 
 /// Alpha planes that fit one buffer together.
-struct PlaneGroup {
-    range: Range<usize>,
-    planes: Vec<PackedPlane>,
-    alpha: Vec<u32>,
+pub(super) struct PlaneGroup {
+    pub(super) range: Range<usize>,
+    pub(super) planes: Vec<PackedPlane>,
+    pub(super) alpha: Vec<u32>,
 }
 
 /// Most triangles of a piece: what buffers hold, and at most `wanted`.
 pub(super) fn piece_triangles(limits: ExecutorLimits, wanted: usize) -> usize {
-    let fits = limits.binding_bytes / size_of::<TriangleMask>().max(size_of::<PackedTriangle>()) as u64;
+    let sizes = [size_of::<TriangleMask>(), size_of::<PackedTriangle>(), size_of::<EyeTriangle>()];
+    let fits = limits.binding_bytes / sizes.into_iter().fold(0, usize::max) as u64;
     wanted.min(fits as usize).max(1)
 }
 
@@ -127,7 +128,7 @@ fn check(batch: &TriangleBatch) -> Result<(), DeviceError> {
 }
 
 /// Cuts planes into groups of at most `limit_bytes`; there is always one group.
-fn plane_groups(planes: &[AlphaPlane], limit_bytes: u64) -> Result<Vec<PlaneGroup>, DeviceError> {
+pub(super) fn plane_groups(planes: &[AlphaPlane], limit_bytes: u64) -> Result<Vec<PlaneGroup>, DeviceError> {
     let padded = |plane: &AlphaPlane| plane.alpha.len().next_multiple_of(4) as u64;
     let mut groups = Vec::new();
     let mut first = 0;

@@ -1,0 +1,491 @@
+//! `manyview render`.
+
+use std::io::{BufWriter, Write as _};
+use std::path::{Path, PathBuf};
+use std::str::FromStr;
+use std::time::Instant;
+
+use clap::ValueEnum;
+use manyview::Archive;
+use manyview::bench::SceneSource;
+use manyview::exact::ExactRays;
+use manyview::gpu::{AdapterChoice, GpuContext};
+use manyview::npy;
+use manyview::preview::{Camera, CameraChoice, PictureFormat, write_picture};
+use manyview::render::gbuffer::{GBuffer, MAX_PIXELS, MAX_SIDE};
+use manyview::render::glow::glow;
+use manyview::render::image::{Exposure, LitImage, Provenance, RenderError, picture, render};
+use manyview::render::lights::{DEFAULT_LIGHTS, LightSource, MAX_LIGHTS};
+use manyview::render::methods::{Ingredients, Method, visibility};
+use manyview::render::raster;
+use manyview::render::scene::{RenderScene, SceneError};
+use manyview::visibility::{Visibility, light_words};
+use manyview_cache::atomic::AtomicFile;
+use manyview_pipeline::bake::{BakeOptions, Progress as _, bake_in_memory};
+use manyview_pipeline::generate::generate;
+use manyview_pipeline::import::{ImportOptions, import};
+use manyview_pipeline::run::RunError;
+use manyview_pipeline::scene::PunctualLight;
+use serde_json::json;
+
+use super::Format;
+use super::camera_file::{describe, read_camera};
+use super::cancel;
+use super::error::{CliError, CliResult, Exit};
+use super::output::{bytes, count, counted, print, print_json};
+use super::progress::Progress;
+
+/// Options of `render`.
+#[derive(Debug, clap::Args)]
+#[command(after_help = AFTER_HELP)]
+pub(crate) struct Options {
+    /// A .glb or .gltf file, or KIND:TRIANGLES for a generated scene, such as town:100000
+    #[arg(value_name = "SCENE")]
+    scene: SceneSource,
+    /// The scene's archive, for methods that read one; without it the scene is baked in memory
+    #[arg(long, value_name = "A.mvb")]
+    bake: Option<PathBuf>,
+    /// `scene` (the glTF's lights), a file, `random:N[:SEED]` or `particles:N[:SEED]`
+    /// [default: the glTF's lights, or random:256 where it has none]
+    #[arg(long, value_name = "LIGHTS", value_parser = LightSource::from_str)]
+    lights: Option<LightSource>,
+    /// How segments to lights are tested
+    #[arg(long, value_name = "METHOD", default_value = "raytrace", value_parser = Method::from_str)]
+    visibility: Method,
+    /// `auto` (from inside where the scene is mostly rooms), `inside`, or a file
+    #[arg(long, value_name = "auto|inside|FILE", default_value = "auto")]
+    camera: String,
+    /// Pixels
+    #[arg(long, value_name = "WIDTHxHEIGHT", default_value = "1024x1024")]
+    size: Size,
+    /// The picture: .png for a screen, .exr for 32-bit floats; may be repeated
+    #[arg(short, long, value_name = "P.png|P.exr", required = true)]
+    output: Vec<PathBuf>,
+    /// Stops between radiance and the tone-mapped picture, or `auto`
+    #[arg(long, value_name = "EV|auto", default_value = "auto", value_parser = exposure, allow_hyphen_values = true)]
+    exposure: Exposure,
+    /// Draw the lights themselves, in .png only: small discs
+    #[arg(long)]
+    show_lights: bool,
+    /// Also write which lights each pixel does not see: uint32 (height, width, words), bit l % 32 of word l / 32 for
+    /// light l, 0 where there is no surface; for `compare --light-bits`
+    #[arg(long, value_name = "B.npy")]
+    light_bits: Option<PathBuf>,
+    /// What finds the surfaces of the pixels and runs the method, if it can run there; `auto` takes a GPU if it is not a software one
+    #[arg(long, value_enum, default_value_t = Backend::Auto)]
+    backend: Backend,
+    /// Seconds into the first animation; without it the rest pose is drawn
+    #[arg(long, value_name = "SECONDS")]
+    time: Option<f64>,
+    /// Let the scene's URIs leave its folder
+    #[arg(long)]
+    allow_outside: bool,
+    /// Of the summary on stdout; with `json`, progress on stderr comes as JSON events too
+    #[arg(long, value_enum, default_value_t = Format::Text)]
+    format: Format,
+}
+
+const AFTER_HELP: &str = "\
+An EXR has linear radiance in R, G, B (not multiplied by the exposure) and the layers albedo, depth, normal, position \
+(metres, +infinity where there is nothing), shadow (hidden lights / all lights) and, if anything glows, emissive; its \
+attribute `manyview` says how it was made.\n\
+\n\
+A file of lights is JSON (a list, or an object with the list as `lights`), TOML ([[lights]]), CSV (x,y,z or \
+x,y,z,r,g,b) or NumPy (float32 (n, 3) or (n, 6), likewise). A light has position ([x, y, z], metres), and if need be color ([r, g, b], linear), intensity (candela), \
+range (metres), and for a spot direction, inner_angle and outer_angle (degrees).\n\
+\n\
+A camera file is JSON or TOML with eye and target ([x, y, z], metres), and if need be up ([x, y, z], +Y unless given) and \
+fov (vertical, degrees, 40 unless given).";
+
+#[derive(Debug, Clone, Copy, PartialEq, Eq, ValueEnum)]
+enum Backend {
+    Auto,
+    Cpu,
+    Gpu,
+}
+
+/// A picture size.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+struct Size([u32; 2]);
+
+impl FromStr for Size {
+    type Err = String;
+
+    fn from_str(text: &str) -> Result<Self, String> {
+        let side = |text: &str| text.parse::<u32>().ok().filter(|side| (1..=MAX_SIDE).contains(side));
+        text.split_once('x')
+            .and_then(|(width, height)| Some(Self([side(width)?, side(height)?])))
+            .filter(|Self([width, height])| u64::from(*width) * u64::from(*height) <= MAX_PIXELS)
+            .ok_or_else(|| {
+                format!(
+                    "write WIDTHxHEIGHT, such as 1280x720, of 1 to {MAX_SIDE} pixels a side and at most {MAX_PIXELS} in all"
+                )
+            })
+    }
+}
+
+pub(super) fn exposure(text: &str) -> Result<Exposure, String> {
+    match text {
+        "auto" => Ok(Exposure::Auto),
+        text => text.parse().ok().filter(|stops: &f32| stops.abs() <= 60.0).map(Exposure::Stops).ok_or_else(
+            || "write `auto`, or stops from -60 to 60: radiance is multiplied by 2 to this power".to_owned(),
+        ),
+    }
+}
+
+/// Runs `render`.
+pub(crate) fn run(options: &Options) -> CliResult {
+    let formats = output_formats(options)?;
+    if options.format == Format::Json {
+        cancel::tell_events();
+    }
+    let progress = Progress::new(options.format, cancel::watch());
+    let result = draw(options, &formats, &progress);
+    progress.finish();
+    result
+}
+
+fn draw(options: &Options, formats: &[PictureFormat], progress: &Progress) -> CliResult {
+    let clock = Instant::now();
+    let scene = load(options)?;
+    let archive = archive_of(options, &scene)?;
+    cancel::check()?;
+    let exact = ExactRays::new(scene.reference());
+    cancel::check()?;
+    let lights = lights_of(options, &scene, &exact)?;
+    let camera = camera_of(options, &scene)?;
+    cancel::check()?;
+    let gpu = open_gpu(options.backend, options.visibility)?;
+    let ingredients =
+        Ingredients { scene: &scene, exact: &exact, archive: archive.as_ref(), gpu: gpu.as_ref() };
+    let method =
+        visibility(options.visibility, &ingredients).map_err(|error| CliError::new(Exit::BadInput, error))?;
+    let [width, height] = options.size.0;
+    announce(options, &lights);
+
+    // What cannot be written is not worth the work.
+    for output in options.output.iter() {
+        drop(AtomicFile::create(output)?);
+    }
+    let mut bits = match &options.light_bits {
+        Some(path) => Some(BitsFile::create(path, [width, height], lights.len())?),
+        None => None,
+    };
+    let prepared = clock.elapsed().as_secs_f64();
+    let gbuffer = gbuffer(&scene, &exact, &camera, [width, height], gpu.as_ref(), progress)?;
+    cancel::check()?;
+    let surfaces = clock.elapsed().as_secs_f64();
+    let image = light(&scene, &gbuffer, &lights, &*method, bits.as_mut(), progress)?;
+    let lit = clock.elapsed().as_secs_f64();
+    let exposure_stops = image.stops(options.exposure);
+    let surface_count = gbuffer.surface_count();
+    let mean_shadow = image.shadow.iter().map(|&s| f64::from(s)).sum::<f64>() / surface_count.max(1) as f64;
+    let provenance =
+        Provenance { visibility: options.visibility.name(), lights: lights.len(), exposure_stops };
+    let glow = match options.show_lights {
+        true => glow(&gbuffer, &camera, &lights, scene.radius())?,
+        false => Vec::new(),
+    };
+    let picture = picture(&gbuffer, image, &glow, &provenance);
+    for (path, format) in options.output.iter().zip(formats) {
+        cancel::check()?;
+        write_picture(path, *format, &picture)?;
+    }
+    if let Some(bits) = bits {
+        bits.finish()?;
+    }
+    progress.finish();
+    let pairs = surface_count as u64 * lights.len() as u64;
+    let seconds = lit - surfaces;
+    let paths: Vec<String> = options.output.iter().map(|path| path.display().to_string()).collect();
+    match options.format {
+        Format::Json => print_json(&json!({
+            "outputs": paths,
+            "visibility": options.visibility.name(),
+            "width": width,
+            "height": height,
+            "surface_pixels": surface_count,
+            "lights": lights.len(),
+            "segments": pairs,
+            "mean_shadow": mean_shadow,
+            "exposure_stops": exposure_stops,
+            "surfaces_on": gpu.as_ref().map_or("cpu", |gpu| gpu.name()),
+            "seconds": { "prepare": prepared, "surfaces": surfaces - prepared, "lights": seconds },
+        }))?,
+        Format::Text => print(&format!(
+            "{}: {width} × {height} pixels, {}, {:.1}% of segments hidden, exposure {exposure_stops:+.2} stops; {} \
+             segments in {seconds:.1} s\n",
+            paths.join(", "),
+            counted(lights.len() as u64, "light"),
+            mean_shadow * 100.0,
+            count(pairs),
+        ))?,
+    }
+    Ok(Exit::Done)
+}
+
+fn output_formats(options: &Options) -> Result<Vec<PictureFormat>, CliError> {
+    let named = options.output.iter().map(|path| {
+        PictureFormat::of_path(path).ok_or_else(|| {
+            CliError::usage(format!("{}: name the picture with the ending .png or .exr", path.display()))
+        })
+    });
+    named.collect()
+}
+
+fn load(options: &Options) -> Result<RenderScene, CliError> {
+    if options.time.is_some_and(|time| !time.is_finite()) {
+        return Err(CliError::usage("--time must be a finite number of seconds"));
+    }
+    let scene = match &options.scene {
+        SceneSource::File(path) => {
+            if path.extension().is_some_and(|extension| extension.eq_ignore_ascii_case("mvb")) {
+                let path = path.display();
+                let message = format!(
+                    "{path}: an archive has no triangles to draw; name the scene, and the archive with --bake"
+                );
+                return Err(CliError::usage(message));
+            }
+            let import_options = ImportOptions {
+                allow_outside: options.allow_outside,
+                time_seconds: options.time,
+                ..ImportOptions::default()
+            };
+            import(path, &import_options).map_err(RunError::from)?.scene
+        }
+        SceneSource::Generated { kind, triangles } => generate(*kind, *triangles, 1),
+    };
+    for warning in &scene.warnings {
+        tell(options.format, "warning", warning);
+    }
+    RenderScene::new(scene).map_err(|error| scene_error(options, error))
+}
+
+fn scene_error(options: &Options, error: SceneError) -> CliError {
+    match error {
+        SceneError::Unusable(source) => {
+            RunError::Bake { scene: scene_name(&options.scene).into(), source }.into()
+        }
+        SceneError::Load(error) => error.into(),
+    }
+}
+
+fn scene_name(source: &SceneSource) -> String {
+    match source {
+        SceneSource::File(path) => path.display().to_string(),
+        SceneSource::Generated { kind, triangles } => format!("{kind}:{triangles}"),
+    }
+}
+
+/// One line on stderr.
+fn tell(format: Format, kind: &str, message: &str) {
+    match format {
+        Format::Text => eprintln!("{kind}: {message}"),
+        Format::Json => eprintln!("{}", json!({"event": kind, "message": message})),
+    }
+}
+
+/// The archive that the method reads, if it reads any.
+fn archive_of(options: &Options, scene: &RenderScene) -> Result<Option<Archive>, CliError> {
+    let wanted = options.visibility.needs_archive();
+    if let Some(path) = &options.bake {
+        let archive = Archive::open(path)?;
+        check_belongs(&archive, scene, &options.scene)?;
+        if !wanted {
+            let message = format!("--visibility {} does not read {}", options.visibility, path.display());
+            tell(options.format, "note", &message);
+        }
+        return Ok(wanted.then_some(archive));
+    }
+    if !wanted {
+        return Ok(None);
+    }
+    tell(
+        options.format,
+        "note",
+        "no --bake was given: the scene is baked in memory with the default settings",
+    );
+    let bytes = bake_in_memory(&scene.scene, &BakeOptions::default())
+        .map_err(|source| scene_error(options, source.into()))?;
+    Ok(Some(Archive::from_bytes(bytes)?))
+}
+
+/// An archive of another scene gives nonsense without any error.
+fn check_belongs(archive: &Archive, scene: &RenderScene, source: &SceneSource) -> Result<(), CliError> {
+    let info = archive.scene_info();
+    let triangles = scene.scene.drawn_triangles();
+    let same_bounds =
+        info.bounds_min == scene.bounds[0].to_array() && info.bounds_max == scene.bounds[1].to_array();
+    if info.triangles == triangles && same_bounds {
+        return Ok(());
+    }
+    Err(CliError::bad_input(format!(
+        "{}: this is no bake of {}: it has {} triangles within {:?} … {:?}, the scene {triangles} within {:?} … {:?}; bake \
+         the scene again",
+        archive.name(),
+        scene_name(source),
+        info.triangles,
+        info.bounds_min,
+        info.bounds_max,
+        scene.bounds[0].to_array(),
+        scene.bounds[1].to_array(),
+    )))
+}
+
+fn lights_of(
+    options: &Options,
+    scene: &RenderScene,
+    exact: &ExactRays<'_>,
+) -> Result<Vec<PunctualLight>, CliError> {
+    let source = match &options.lights {
+        Some(source) => source.clone(),
+        None if scene.scene.lights.is_empty() => {
+            let message = "the scene has no lights of its own: --lights random:256 is taken";
+            tell(options.format, "note", message);
+            DEFAULT_LIGHTS
+        }
+        None => LightSource::Scene,
+    };
+    let lights =
+        source.lights(scene, exact.reference()).map_err(|error| CliError::new(Exit::BadInput, error))?;
+    if lights.is_empty() {
+        tell(options.format, "warning", "there are no lights: the picture shows ambient light only");
+    }
+    if lights.len() > MAX_LIGHTS {
+        let message = format!(
+            "{}: {} lights are more than {MAX_LIGHTS}; name some with --lights",
+            scene_name(&options.scene),
+            lights.len()
+        );
+        return Err(CliError::bad_input(message));
+    }
+    Ok(lights)
+}
+
+fn camera_of(options: &Options, scene: &RenderScene) -> Result<Camera, CliError> {
+    let choice = match options.camera.as_str() {
+        "auto" => CameraChoice::Auto,
+        "inside" => CameraChoice::Inside,
+        file => return read_camera(Path::new(file)),
+    };
+    let [width, height] = options.size.0;
+    let aspect = f64::from(width) / f64::from(height);
+    let camera = scene.choose_camera(aspect, choice).map_err(|error| scene_error(options, error))?;
+    if options.format == Format::Text {
+        eprintln!("{}", describe(&camera));
+    }
+    Ok(camera)
+}
+
+fn open_gpu(backend: Backend, method: Method) -> Result<Option<GpuContext>, CliError> {
+    let gpu = || GpuContext::open(&AdapterChoice::from_env());
+    match backend {
+        Backend::Cpu => Ok(None),
+        _ if method.needs_gpu() => gpu().map(Some).map_err(|error| CliError::new(Exit::BadInput, error)),
+        Backend::Gpu => gpu().map(Some).map_err(|error| CliError::new(Exit::BadInput, error)),
+        Backend::Auto => Ok(gpu().ok().filter(|gpu| !gpu.is_software())),
+    }
+}
+
+fn announce(options: &Options, lights: &[PunctualLight]) {
+    let [width, height] = options.size.0;
+    let pixels = u64::from(width) * u64::from(height);
+    let segments = pixels * lights.len() as u64;
+    let bits = pixels * 4 * light_words(lights.len()) as u64;
+    if options.format == Format::Json {
+        let event = json!({
+            "event": "estimate",
+            "pixels": pixels,
+            "lights": lights.len(),
+            "segments": segments,
+            "light_bits_bytes": options.light_bits.as_ref().map(|_| bits),
+        });
+        eprintln!("{event}");
+        return;
+    }
+    let file = match options.light_bits {
+        Some(_) => format!(", {} of light bits", bytes(bits)),
+        None => String::new(),
+    };
+    eprintln!(
+        "{:>12}  {} pixels × {} = at most {} segments by {}{file}; memory about {} besides the scene",
+        "about to draw",
+        count(pixels),
+        counted(lights.len() as u64, "light"),
+        count(segments),
+        options.visibility,
+        bytes(pixels * 100 + (80 << 20)),
+    );
+}
+
+fn gbuffer(
+    scene: &RenderScene,
+    exact: &ExactRays<'_>,
+    camera: &Camera,
+    size: [u32; 2],
+    gpu: Option<&GpuContext>,
+    progress: &Progress,
+) -> Result<GBuffer, CliError> {
+    let reference = exact.reference();
+    let Some(gpu) = gpu else { return Ok(GBuffer::cast(scene, reference, camera, size, progress)?) };
+    let count = reference.triangles().len() as u64;
+    progress.begin("raster", count, "triangles");
+    let triangles = raster::triangles(gpu, scene, reference, camera, size)
+        .map_err(|error| CliError::new(Exit::Internal, error))?;
+    progress.advance(count);
+    Ok(GBuffer::resolve(scene, reference, camera, size, &triangles, progress)?)
+}
+
+fn light(
+    scene: &RenderScene,
+    gbuffer: &GBuffer,
+    lights: &[PunctualLight],
+    method: &dyn Visibility,
+    bits: Option<&mut BitsFile>,
+    progress: &Progress,
+) -> Result<LitImage, CliError> {
+    let result = match bits {
+        Some(bits) => {
+            let mut sink = |words: &[u32]| npy::write_elements(&mut bits.file, words);
+            render(scene, gbuffer, lights, method, Some(&mut sink), progress)
+        }
+        None => render(scene, gbuffer, lights, method, None, progress),
+    };
+    result.map_err(|error| {
+        let exit = match &error {
+            RenderError::Visibility(_) => Exit::Internal,
+            RenderError::Bits(_) => Exit::BadInput,
+            RenderError::Cancelled => Exit::Cancelled,
+        };
+        CliError::new(exit, error)
+    })
+}
+
+/// The file of light bits while it is written.
+struct BitsFile {
+    file: BufWriter<AtomicFile>,
+    path: PathBuf,
+}
+
+impl BitsFile {
+    fn create(path: &Path, [width, height]: [u32; 2], lights: usize) -> Result<Self, CliError> {
+        let mut file = BufWriter::with_capacity(1 << 20, AtomicFile::create(path)?);
+        let shape = [height as usize, width as usize, light_words(lights)];
+        let begun = npy::write_header::<u32>(&mut file, &shape);
+        let bits = Self { file, path: path.to_owned() };
+        begun.map_err(|error| bits.failed(&error))?;
+        Ok(bits)
+    }
+
+    fn finish(mut self) -> Result<(), CliError> {
+        self.file.flush().map_err(|error| self.failed(&error))?;
+        let path = self.path;
+        let file = self.file.into_inner();
+        file.map_err(|error| CliError::bad_input(format!("{}: {error}", path.display())))?.commit()?;
+        Ok(())
+    }
+
+    fn failed(&self, error: &std::io::Error) -> CliError {
+        CliError::bad_input(format!("{}: cannot write the light bits: {error}", self.path.display()))
+    }
+}

@@ -1,0 +1,138 @@
+//! The methods of testing segments by name: the one place that makes them.
+//!
+//! A new method is a variant of [`Method`], a line in its list of names and an arm in [`visibility`]; if it reads an
+//! archive, or runs on a GPU alone, [`Method::needs_archive`] and [`Method::needs_gpu`] say so.
+
+use super::scene::RenderScene;
+use crate::Archive;
+use crate::exact::ExactRays;
+use crate::gpu::{GpuContext, WgpuExecutor};
+use crate::rays::RowTester;
+use crate::rivals::brickmap::{self, BrickmapVisibility};
+use crate::rivals::bvh::BvhVisibility;
+use crate::rivals::ism::{IsmOptions, IsmVisibility};
+use crate::rivals::wide_bvh::WideBvh;
+use crate::visibility::Visibility;
+use manyview_shaders::executor::{Executor, ExecutorLimits};
+use std::fmt;
+use std::str::FromStr;
+use thiserror::Error;
+
+/// A method of testing segments.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub enum Method {
+    /// Exact rays over the triangles, on the CPU: the judge of the others.
+    RayTrace,
+    /// Rows of the archive, on the CPU.
+    Rows,
+    /// A compressed wide BVH over the triangles in `f32`, on the CPU.
+    Bvh,
+    /// The same BVH on a GPU.
+    WgslBvh,
+    /// Marching through the archive's octree, on the GPU if there is one to use.
+    Brickmap,
+    /// Imperfect shadow maps, on the CPU.
+    Ism,
+}
+
+/// What methods are made of; each takes what it needs.
+pub struct Ingredients<'a> {
+    /// The scene.
+    pub scene: &'a RenderScene,
+    /// Exact rays over its triangles.
+    pub exact: &'a ExactRays<'a>,
+    /// Its archive, if the method [needs](Method::needs_archive) one.
+    pub archive: Option<&'a Archive>,
+    /// A GPU, if one shall be used.
+    pub gpu: Option<&'a GpuContext>,
+}
+
+/// Why a method cannot be made.
+#[derive(Debug, Error)]
+#[error("--visibility {method}: {source}")]
+pub struct MethodError {
+    /// Its name.
+    pub method: Method,
+    /// What is missing or failed.
+    pub source: Box<dyn std::error::Error + Send + Sync>,
+}
+
+impl Method {
+    /// Every method with its name.
+    const NAMES: &[(Self, &'static str)] = &[
+        (Self::RayTrace, "raytrace"),
+        (Self::Rows, "rows"),
+        (Self::Bvh, "bvh"),
+        (Self::WgslBvh, "wgsl-bvh"),
+        (Self::Brickmap, "brickmap"),
+        (Self::Ism, "ism"),
+    ];
+
+    /// The name that [`FromStr`] reads.
+    pub fn name(self) -> &'static str {
+        Self::NAMES.iter().find(|(method, _)| *method == self).map_or("", |(_, name)| name)
+    }
+
+    /// Whether it reads an archive.
+    pub fn needs_archive(self) -> bool {
+        matches!(self, Self::Rows | Self::Brickmap)
+    }
+
+    /// Whether it runs on a GPU alone, be it a software one.
+    pub fn needs_gpu(self) -> bool {
+        matches!(self, Self::WgslBvh)
+    }
+}
+
+impl fmt::Display for Method {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        f.pad(self.name())
+    }
+}
+
+impl FromStr for Method {
+    type Err = String;
+
+    fn from_str(text: &str) -> Result<Self, String> {
+        let found = Self::NAMES.iter().find(|(_, name)| *name == text);
+        found.map(|(method, _)| *method).ok_or_else(|| {
+            let names: Vec<_> = Self::NAMES.iter().map(|(_, name)| *name).collect();
+            format!("there is no method `{text}`; use {}", names.join(", "))
+        })
+    }
+}
+
+/// Makes a method.
+pub fn visibility<'a>(
+    method: Method,
+    ingredients: &Ingredients<'a>,
+) -> Result<Box<dyn Visibility + 'a>, MethodError> {
+    make(method, ingredients).map_err(|source| MethodError { method, source })
+}
+
+type Failure = Box<dyn std::error::Error + Send + Sync>;
+
+fn make<'a>(method: Method, ingredients: &Ingredients<'a>) -> Result<Box<dyn Visibility + 'a>, Failure> {
+    let reference = ingredients.exact.reference();
+    let archive = || ingredients.archive.ok_or("it reads an archive: give one");
+    let executor = |context: &'a GpuContext| -> Box<dyn Executor + Send + 'a> {
+        Box::new(WgpuExecutor::new(context, ExecutorLimits::DEFAULT))
+    };
+    Ok(match method {
+        Method::RayTrace => Box::new(ingredients.exact),
+        Method::Rows => Box::new(RowTester::load(archive()?)?),
+        Method::Bvh => Box::new(BvhVisibility::new(reference)),
+        Method::WgslBvh => {
+            let context = ingredients.gpu.ok_or("it runs on a GPU; use bvh without one")?;
+            Box::new(WideBvh::new(reference).on_executor(executor(context))?)
+        }
+        Method::Brickmap => {
+            let map = brickmap::from_svo(&archive()?.svo()?, u32::MAX, brickmap::DEFAULT_BIAS);
+            match ingredients.gpu {
+                Some(context) => Box::new(brickmap::on_executor(&map, executor(context))?),
+                None => Box::new(BrickmapVisibility::new(map)),
+            }
+        }
+        Method::Ism => Box::new(IsmVisibility::new(reference, IsmOptions::default())),
+    })
+}
