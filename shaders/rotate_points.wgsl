@@ -5,7 +5,9 @@ struct PointParams {
     // Pairs of points.
     pairs: u32,
     grid_bits: u32,
-    reserved: vec2<u32>,
+    // From one row to the next, log2 of bits.
+    row_bits: u32,
+    reserved: u32,
 }
 
 @group(0) @binding(0) var<uniform> params: PointParams;
@@ -17,7 +19,7 @@ struct PointParams {
 fn set_voxel(direction: u32, axes: Axes, p: vec3<i32>) {
     let voxel = vec3<u32>(raw_point(axes, p)) >> vec3<u32>(ROW_RAW_BITS - params.grid_bits);
     let row = (((direction << params.grid_bits) | voxel.y) << params.grid_bits) | voxel.x;
-    let bit = (row << params.grid_bits) | voxel.z;
+    let bit = (row << params.row_bits) | voxel.z;
     atomicOr(&bits[bit >> 5u], 1u << (bit & 31u));
 }
 

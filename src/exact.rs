@@ -3,9 +3,10 @@
 use crate::reference::Reference;
 use crate::visibility::{LightPoint, Receiver, Segment, Visibility, VisibilityError, light_words};
 use glam::DVec3;
+use manyview_shaders::testable::testable;
 use rayon::prelude::*;
 
-/// The exact ray tracer behind [`Visibility`]: method `bvh`.
+/// The exact ray tracer behind [`Visibility`]: method `exact`.
 ///
 /// A segment that starts on a surface does not hit it there: only hits strictly between the ends count, and an origin
 /// with a normal is lifted along it by [`LIFT`] of the scene's diagonal, which is what `f32` coordinates of a surface
@@ -48,12 +49,9 @@ impl<'a> ExactRays<'a> {
     /// outside are brought to the scene's bounds, since the BVH's `f32` cannot tell far ones apart; the number is how
     /// far the origin has come, metres.
     fn ends(&self, segment: &Segment) -> Option<([DVec3; 2], f64)> {
+        let segment = testable(segment)?;
         let [origin, target, normal] =
             [segment.origin, segment.target, segment.normal].map(|v| DVec3::from_array(v.map(f64::from)));
-        let usable = origin.is_finite() && target.is_finite() && normal.is_finite() && origin != target;
-        if !usable {
-            return None;
-        }
         let origin = origin + normal.normalize_or_zero() * self.lift_metres;
         let way = target - origin;
         let (mut enter, mut leave) = (0.0f64, 1.0f64);
@@ -77,7 +75,7 @@ const PIECE: usize = 256;
 
 impl Visibility for ExactRays<'_> {
     fn name(&self) -> &'static str {
-        "bvh"
+        "exact"
     }
 
     fn occluded(&self, segments: &[Segment], occluded: &mut [u8]) -> Result<(), VisibilityError> {
@@ -116,7 +114,7 @@ impl Visibility for ExactRays<'_> {
         receivers.par_iter().zip(hidden.par_chunks_mut(words.max(1))).for_each(|(receiver, hidden)| {
             hidden.fill(0);
             for (index, light) in lights.iter().enumerate() {
-                let is_hidden = self.is_occluded(&light.segment_from(receiver));
+                let is_hidden = light.is_behind(receiver) || self.is_occluded(&light.segment_from(receiver));
                 hidden[index / 32] |= u32::from(is_hidden) << (index % 32);
             }
         });
@@ -161,12 +159,13 @@ mod tests {
             (segment(1.0, 1.0, 0.0), 0, f32::INFINITY),
             (segment(f32::NAN, -1.0, 0.0), 0, f32::INFINITY),
             (segment(1.0, f32::NEG_INFINITY, 0.0), 0, f32::INFINITY),
-            (segment(1.0, -f32::MAX, 0.0), 1, 1.0),
+            (segment(1.0, -f32::MAX, 0.0), 0, f32::INFINITY),
+            (segment(1.0, -1e18, f32::NAN), 1, 1.0),
             (segment(1e6, -1e6, 0.0), 1, 1e6),
             (segment(1e6, 1e5, 0.0), 0, f32::INFINITY),
         ];
         let segments = cases.map(|case| case.0);
-        let (mut occluded, mut distances) = ([7; 11], [7.0; 11]);
+        let (mut occluded, mut distances) = ([7; 12], [7.0; 12]);
         exact.occluded(&segments, &mut occluded).unwrap();
         exact.distances(&segments, &mut distances).unwrap();
         assert_eq!(occluded, cases.map(|case| case.1));

@@ -11,6 +11,7 @@
 #[cfg(not(target_arch = "wasm32"))]
 mod background;
 mod context;
+mod deform;
 mod executor;
 mod pipelines;
 mod plan;
@@ -22,6 +23,7 @@ mod stream;
 #[cfg(not(target_arch = "wasm32"))]
 pub use background::BackgroundRefinement;
 pub use context::{AdapterChoice, GpuContext, OpenError};
+pub use deform::GpuDeformingRows;
 pub use executor::WgpuExecutor;
 pub use scene::{GpuScene, Progress, StreamError, StreamOptions};
 

@@ -3,9 +3,11 @@
 pub mod archive;
 #[cfg(feature = "bake")]
 pub mod bench;
+pub mod deform;
 #[cfg(feature = "bake")]
 pub mod exact;
 pub mod gpu;
+pub mod instances;
 pub mod npy;
 pub mod plain_rows;
 pub mod preview;

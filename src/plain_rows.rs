@@ -1,41 +1,22 @@
 //! Rows as a method among others, the plain version: one segment after the other, one row each.
 
-use crate::archive::{Archive, LoadError};
 use crate::rays::paper::{DirectionRows, ExactSegment, OriginBias};
 use crate::visibility::{Segment, Visibility, VisibilityError};
 use glam::DVec3;
 use manyview_shaders::directions::{DirectionFrame, DirectionSet, RowLattice};
 use rayon::prelude::*;
 
-/// The rows of all directions in memory, asked through [`Visibility`]: method `rows`.
+/// The rows of all directions in memory, asked through [`Visibility`]: method `rows-paper`.
 pub struct PlainRows {
     directions: DirectionSet,
     lattice: RowLattice,
     bits: u32,
     frames: Vec<DirectionFrame>,
-    /// Blocks of whole directions.
-    blocks: Vec<Vec<u32>>,
-    block_directions: usize,
+    rows: Vec<u32>,
     bias: OriginBias,
 }
 
 impl PlainRows {
-    /// Loads the rows of an archive, all of them.
-    pub fn load(archive: &Archive, bias: OriginBias) -> Result<Self, LoadError> {
-        let frames = archive.frames()?;
-        let (Some(info), Some(directions), Some(lattice)) =
-            (archive.rows_info(), archive.direction_set(), archive.row_lattice())
-        else {
-            return Err(LoadError::NoRows { archive: archive.name().to_owned() });
-        };
-        let blocks = (0..archive.row_block_count())
-            .into_par_iter()
-            .map(|block| archive.row_block(block))
-            .collect::<Result<_, _>>()?;
-        let block_directions = info.block_directions as usize;
-        Ok(Self { directions, lattice, bits: info.bits, frames, blocks, block_directions, bias })
-    }
-
     /// Takes rows from elsewhere: direction after direction, layout of `rows.bits`
     /// ([`manyview_shaders::sections`]).
     ///
@@ -52,12 +33,12 @@ impl PlainRows {
         let count = directions.count() as usize;
         assert_eq!(frames.len(), count, "one frame for each direction");
         assert_eq!(rows.len(), count << (3 * bits - 5), "rows for each direction");
-        Self { directions, lattice, bits, frames, blocks: vec![rows], block_directions: count, bias }
+        Self { directions, lattice, bits, frames, rows, bias }
     }
 
     /// Bytes of the rows.
     pub fn bytes(&self) -> u64 {
-        self.blocks.iter().map(|block| 4 * block.len() as u64).sum()
+        4 * self.rows.len() as u64
     }
 
     fn is_occluded(&self, segment: &Segment) -> bool {
@@ -69,8 +50,7 @@ impl PlainRows {
         let direction = (target - origin).normalize_or_zero();
         let nearest = self.directions.nearest(direction.as_vec3().to_array()) as usize;
         let words = 1usize << (3 * self.bits - 5);
-        let at = nearest % self.block_directions * words;
-        let rows = &self.blocks[nearest / self.block_directions][at..at + words];
+        let rows = &self.rows[nearest * words..(nearest + 1) * words];
         let segment = ExactSegment { origin, target, normal };
         DirectionRows::new(&self.frames[nearest], &self.lattice, self.bits, rows)
             .is_occluded(&segment, self.bias)
@@ -79,7 +59,7 @@ impl PlainRows {
 
 impl Visibility for PlainRows {
     fn name(&self) -> &'static str {
-        "rows"
+        "rows-paper"
     }
 
     fn occluded(&self, segments: &[Segment], occluded: &mut [u8]) -> Result<(), VisibilityError> {

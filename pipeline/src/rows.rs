@@ -19,9 +19,10 @@ use crate::triangles::{Cutouts, LatticeTriangles};
 use manyview_cache::archive::{ArchiveWriter, CompressedChunk, MAX_CHUNK_BYTES};
 use manyview_shaders::device::{VoxelDevice, grid_point};
 use manyview_shaders::directions::{
-    DirectionFrame, DirectionSet, Fit, ROW_RAW_BITS, RowLattice, extents_along, rolled_to_fit,
+    DirectionFrame, DirectionSet, Fit, RowLattice, extents_along, rolled_to_fit,
 };
 use manyview_shaders::raster::{Grid, Raster, VoxelBox};
+use manyview_shaders::rotate::{SpreadPoints, rotate_points};
 use manyview_shaders::sections::{RowsInfo, name};
 use rayon::prelude::*;
 use std::io::{Seek, Write};
@@ -76,37 +77,9 @@ pub struct RowsPlan<'a> {
     triangles: &'a LatticeTriangles,
     cutouts: &'a Cutouts,
     points: Vec<[i16; 3]>,
-    soa: Points,
+    spread: SpreadPoints,
     /// One frame per direction.
     pub frames: Vec<DirectionFrame>,
-}
-
-/// Points coordinate by coordinate, as the vectorized kernel reads them.
-#[derive(Default)]
-struct Points {
-    x: Vec<i16>,
-    y: Vec<i16>,
-    z: Vec<i16>,
-}
-
-impl Points {
-    /// Neighbours in `points` fall into the same word of most directions, and setting bits of one word again and
-    /// again waits for the store before each time. So blocks of 4,096 points are transposed: next to each other in
-    /// time are points 64 apart, still close in memory.
-    fn spread(points: &[[i16; 3]]) -> Self {
-        const STRIDE: usize = 64;
-        let mut spread = Self::default();
-        for block in points.chunks(STRIDE * STRIDE) {
-            for start in 0..STRIDE.min(block.len()) {
-                for p in block[start..].iter().step_by(STRIDE) {
-                    spread.x.push(p[0]);
-                    spread.y.push(p[1]);
-                    spread.z.push(p[2]);
-                }
-            }
-        }
-        spread
-    }
 }
 
 impl<'a> RowsPlan<'a> {
@@ -153,8 +126,8 @@ impl<'a> RowsPlan<'a> {
                 voxel_centers(triangles, cutouts, options.bits, share)
             }
         };
-        let soa = Points::spread(&points);
-        Self { options, lattice, triangles, cutouts, points, soa, frames }
+        let spread = SpreadPoints::new(&points);
+        Self { options, lattice, triangles, cutouts, points, spread, frames }
     }
 
     /// Number of points that are rotated; 0 where triangles are voxelized.
@@ -206,7 +179,7 @@ impl<'a> RowsPlan<'a> {
                     raster_direction(frame, self.options.bits, self.triangles, self.cutouts, out);
                 }
                 RowsFrom::Rotate | RowsFrom::Points => {
-                    rotate_direction(frame, self.options.bits, &self.soa, out);
+                    rotate_points(frame, self.options.bits, &self.spread, out);
                 }
             }
         }
@@ -278,52 +251,6 @@ impl<'a> RowsPlan<'a> {
     }
 }
 
-/// Points whose bits are found together before they are set.
-const BATCH: usize = 512;
-
-/// Sets the bit of every point in a direction's rows ([`DirectionFrame::voxel`]).
-fn rotate_direction(frame: &DirectionFrame, bits: u32, points: &Points, rows: &mut [u32]) {
-    #[cfg(target_arch = "x86_64")]
-    {
-        if std::arch::is_x86_feature_detected!("avx2") && std::arch::is_x86_feature_detected!("bmi2") {
-            #[target_feature(enable = "avx2,bmi2")]
-            fn with_avx2(frame: &DirectionFrame, bits: u32, points: &Points, rows: &mut [u32]) {
-                rotate_direction_portable(frame, bits, points, rows);
-            }
-            #[allow(unsafe_code, reason = "calling a function compiled for AVX2 and BMI2")]
-            // SAFETY: both were detected just above. Tested: `every_kernel_sets_the_same_bits`.
-            unsafe {
-                with_avx2(frame, bits, points, rows);
-            }
-            return;
-        }
-    }
-    rotate_direction_portable(frame, bits, points, rows);
-}
-
-#[inline(always)]
-fn rotate_direction_portable(frame: &DirectionFrame, bits: u32, points: &Points, rows: &mut [u32]) {
-    let shift = ROW_RAW_BITS - bits;
-    let m = frame.row_from_lattice;
-    let mut found = [0u32; BATCH];
-    for ((x, y), z) in points.x.chunks(BATCH).zip(points.y.chunks(BATCH)).zip(points.z.chunks(BATCH)) {
-        let n = x.len().min(BATCH);
-        let (x, y, z) = (&x[..n], &y[..n], &z[..n]);
-        // Arithmetic and memory apart: the first loop is vectorized, eight points at a time.
-        for i in 0..n {
-            let p = [i32::from(x[i]), i32::from(y[i]), i32::from(z[i])];
-            let voxel = |a: usize| {
-                let raw = m[a][0] * p[0] + m[a][1] * p[1] + m[a][2] * p[2] + frame.offset[a];
-                raw.clamp(0, (1 << ROW_RAW_BITS) - 1) as u32 >> shift
-            };
-            found[i] = (voxel(1) << bits | voxel(0)) << bits | voxel(2);
-        }
-        for &bit in &found[..n] {
-            rows[(bit >> 5) as usize] |= 1 << (bit & 31);
-        }
-    }
-}
-
 fn raster_direction(
     frame: &DirectionFrame,
     bits: u32,
@@ -386,7 +313,7 @@ mod tests {
     }
 
     #[test]
-    fn every_kernel_sets_the_same_bits() {
+    fn the_kernel_sets_the_bit_of_every_point() {
         let (triangles, none) = (scattered(200), Cutouts::default());
         let plan = plan(RowsFrom::Points, &triangles, &none);
         let fast = plan.block(&plan.frames);
@@ -399,9 +326,6 @@ mod tests {
         }
         assert_eq!(fast, plain);
         assert!(plan.point_count() > 300, "{}", plan.point_count());
-        let mut portable = vec![0; 1024];
-        rotate_direction_portable(&plan.frames[3], 5, &plan.soa, &mut portable);
-        assert_eq!(portable, plain[3 * 1024..4 * 1024]);
     }
 
     #[test]

@@ -11,6 +11,7 @@ pub mod masks;
 pub mod octahedral;
 pub mod raster;
 pub mod rgb9e5;
+pub mod rotate;
 pub mod row_bits;
 pub mod row_test;
 pub mod row_view;

@@ -176,8 +176,10 @@ pub struct PointParams {
     pub pairs: u32,
     /// log2 of voxels a side.
     pub grid_bits: u32,
+    /// log2 of the bits from one row to the next: `grid_bits`, or more to leave room behind rows, as texels do.
+    pub row_bits: u32,
     /// Zero.
-    pub reserved: [u32; 2],
+    pub reserved: u32,
 }
 
 /// How views lie in a peeled depth image, 16 bytes.
@@ -429,7 +431,7 @@ gpu_structs! {
     PackedPlane { first_texel, width, height, wrap_u, wrap_v }
     PackedFragment { voxel, triangle, barycentric }
     LargeItem { triangle, direction, axis }
-    PointParams { pairs, grid_bits, reserved }
+    PointParams { pairs, grid_bits, row_bits, reserved }
     PeelParams { cell, columns, rows, views }
     PeelView { direction, axis, window_x, window_y }
     DirectionFrame { row_from_lattice, offset }

@@ -1,6 +1,7 @@
-//! Tables of results: for people (Markdown), for spreadsheets (CSV), for programs (JSON).
+//! Tables of results: for people (Markdown), for spreadsheets (CSV), for programs (JSON), with plots of them (SVG).
 
-use super::BenchError;
+use super::plot::Plot;
+use super::{BenchError, RunInfo};
 use serde_json::{Map, Value, json};
 use std::fmt::Write as _;
 use std::path::Path;
@@ -63,12 +64,23 @@ pub struct Table {
     pub columns: Vec<&'static str>,
     /// One cell per column each.
     pub rows: Vec<Vec<Cell>>,
+    /// Pictures of it.
+    pub plots: Vec<Plot>,
+    /// What it was measured on, if it has times.
+    pub run: Option<RunInfo>,
 }
 
 impl Table {
     /// An empty table.
     pub fn new(name: impl Into<String>, title: impl Into<String>, columns: &[&'static str]) -> Self {
-        Self { name: name.into(), title: title.into(), columns: columns.to_vec(), rows: Vec::new() }
+        Self {
+            name: name.into(),
+            title: title.into(),
+            columns: columns.to_vec(),
+            rows: Vec::new(),
+            plots: Vec::new(),
+            run: None,
+        }
     }
 
     /// Appends a row.
@@ -92,6 +104,9 @@ impl Table {
             _ = write!(text, "\n| {} |", cells.join(" | "));
         }
         text.push('\n');
+        if let Some(run) = &self.run {
+            _ = writeln!(text, "\n{}", run.text());
+        }
         text
     }
 
@@ -117,7 +132,7 @@ impl Table {
         text
     }
 
-    /// The table as an object: title, and one object per row.
+    /// The table as an object: title, what it was measured on, and one object per row.
     pub fn json(&self) -> Value {
         let rows: Vec<Value> = self
             .rows
@@ -127,19 +142,25 @@ impl Table {
                 Value::Object(pairs.map(|(c, cell)| ((*c).to_owned(), cell.json())).collect::<Map<_, _>>())
             })
             .collect();
-        json!({ "name": self.name, "title": self.title, "rows": rows })
+        let mut table = json!({ "name": self.name, "title": self.title, "rows": rows });
+        if let Some(run) = &self.run {
+            table["run"] = run.json();
+        }
+        table
     }
 
-    /// Writes `NAME.md`, `NAME.csv` and `NAME.json` into `folder`, which is made if need be.
+    /// Writes `NAME.md`, `NAME.csv`, `NAME.json` and `PLOT.svg` for each plot into `folder`, which is made if need be.
     pub fn write(&self, folder: &Path) -> Result<(), BenchError> {
         let failed = |path: &Path| {
             let path = path.to_owned();
             move |source| BenchError::Output { path, source }
         };
         fs_err::create_dir_all(folder).map_err(failed(folder))?;
-        let files = [("md", self.markdown()), ("csv", self.csv()), ("json", format!("{:#}\n", self.json()))];
-        for (extension, text) in files {
-            let path = folder.join(format!("{}.{extension}", self.name.replace([':', '/', '\\'], "-")));
+        let texts = [("md", self.markdown()), ("csv", self.csv()), ("json", format!("{:#}\n", self.json()))];
+        let files = texts.into_iter().map(|(extension, text)| (&self.name, extension, text));
+        let plots = self.plots.iter().map(|plot| (&plot.name, "svg", plot.svg()));
+        for (name, extension, text) in files.chain(plots) {
+            let path = folder.join(format!("{}.{extension}", name.replace([':', '/', '\\'], "-")));
             fs_err::write(&path, text).map_err(failed(&path))?;
         }
         Ok(())
@@ -149,6 +170,7 @@ impl Table {
 #[cfg(test)]
 mod tests {
     use super::*;
+    use crate::bench::plot::{Across, Scale};
 
     #[test]
     fn one_table_reads_the_same_in_three_forms() {
@@ -167,11 +189,26 @@ mod tests {
     #[test]
     fn files_are_written_side_by_side() {
         let folder = tempfile::tempdir().unwrap();
-        let table = Table::new("town:1000", "Nothing", &["scene"]);
+        let mut table = Table::new("town:1000", "Nothing", &["scene"]);
+        table.run = Some(RunInfo::gather("manyview bench".to_owned(), None));
+        table.plots.push(Plot {
+            name: "town:1000-errors".to_owned(),
+            title: "Nothing".to_owned(),
+            x_label: String::new(),
+            y_label: String::new(),
+            across: Across::Names(Vec::new()),
+            y_scale: Scale::Linear,
+            series: Vec::new(),
+        });
         table.write(&folder.path().join("new")).unwrap();
         for extension in ["md", "csv", "json"] {
             assert!(folder.path().join(format!("new/town-1000.{extension}")).exists());
         }
+        assert!(folder.path().join("new/town-1000-errors.svg").exists());
+        assert!(
+            table.json()["run"]["command"] == "manyview bench"
+                && table.markdown().contains("`manyview bench`")
+        );
         let blocked = folder.path().join("new/town-1000.md");
         assert!(table.write(&blocked).unwrap_err().to_string().contains("town-1000.md"));
     }

@@ -1,7 +1,9 @@
 //! `manyview bench`.
 
+use manyview::bench::tables::{self, DynamicSettings, OurMethods, TableSettings};
 use manyview::bench::variants::{Detail, variants};
-use manyview::bench::{BenchError, BenchScene, SceneSource, Table, rows, voxels};
+use manyview::bench::{BenchError, BenchScene, RunInfo, SceneSource, Table, rows, voxels};
+use manyview::gpu::{AdapterChoice, GpuContext};
 use manyview::rays::paper::OriginBias;
 use manyview_pipeline::bake;
 use std::path::PathBuf;
@@ -18,10 +20,11 @@ pub(crate) struct Args {
     /// What to measure; all tables if none is named
     #[arg(value_name = "TABLE", value_enum)]
     tables: Vec<TableName>,
-    /// A .glb or .gltf file, or KIND:TRIANGLES for a generated scene; may be repeated
-    #[arg(long = "scene", value_name = "SCENE", default_value = "town:100000")]
+    /// A .glb or .gltf file, or KIND:TRIANGLES for a generated scene; may be repeated [default: town:100000 for
+    /// `voxels` and `rows`, stand-ins of the paper's triangle counts for its tables]
+    #[arg(long = "scene", value_name = "SCENE")]
     scenes: Vec<SceneSource>,
-    /// Folder for the tables as Markdown, CSV and JSON; without it they are printed
+    /// Folder for the tables as Markdown, CSV and JSON, and for plots as SVG; without it tables are printed
     #[arg(short, long, value_name = "DIR")]
     output: Option<PathBuf>,
     /// Directions that are sampled for the rows
@@ -33,9 +36,30 @@ pub(crate) struct Args {
     /// Measure every combination of source, grid and direction set, not only those around the default
     #[arg(long)]
     full: bool,
-    /// Seed of directions and rays
+    /// Seed of directions, rays and lights
     #[arg(long, value_name = "S", default_value_t = 1)]
     seed: u64,
+    /// The paper's tables: lights, where they are not what is varied
+    #[arg(long, value_name = "N", default_value_t = 1024, value_parser = clap::value_parser!(u32).range(1..=1 << 20))]
+    lights: u32,
+    /// The paper's tables: pixels of the picture whose surface points are lit
+    #[arg(long, value_name = "WIDTHxHEIGHT", default_value = "160x90", value_parser = parse_size)]
+    size: [u32; 2],
+    /// The paper's tables: receivers are thinned out until there are no more pairs with lights than this, in millions
+    #[arg(long, value_name = "N", default_value_t = 20, value_parser = clap::value_parser!(u64).range(1..=1 << 20))]
+    million_pairs: u64,
+    /// The paper's tables: how often each method is timed; the shortest time counts
+    #[arg(long, value_name = "N", default_value_t = 3, value_parser = clap::value_parser!(u32).range(1..=100))]
+    repeats: u32,
+    /// The paper's tables: a method to compare; may be repeated [default: all]
+    #[arg(long = "method", value_name = "NAME")]
+    methods: Vec<String>,
+}
+
+fn parse_size(text: &str) -> Result<[u32; 2], String> {
+    let side = |text: &str| text.parse::<u32>().ok().filter(|side| (1..=4096).contains(side));
+    let sides = text.split_once('x').and_then(|(width, height)| Some([side(width)?, side(height)?]));
+    sides.ok_or_else(|| "write WIDTHxHEIGHT, each 1 to 4096, such as 320x180".to_owned())
 }
 
 /// The tables there are.
@@ -45,7 +69,47 @@ pub(crate) enum TableName {
     Voxels,
     /// Rows of every source, grid and direction set against exact rays
     Rows,
+    /// Table I: error and time of each method, scene by scene
+    #[value(alias = "I")]
+    Scenes,
+    /// Table II: error and time against lights, 512 to 10,000
+    #[value(alias = "II")]
+    Lights,
+    /// Table III: error of rows against voxels a side
+    #[value(alias = "III")]
+    Resolution,
+    /// Table IV: error of rows against sampled directions
+    #[value(alias = "IV")]
+    Directions,
+    /// Table V: moving and deforming objects
+    #[value(alias = "V")]
+    Dynamic,
+    /// Table VI: rays a second against triangles, 100 thousand to 10 million
+    #[value(alias = "VI")]
+    Throughput,
 }
+
+/// The tables that are measured with all methods.
+const PAPER_TABLES: [TableName; 6] = [
+    TableName::Scenes,
+    TableName::Lights,
+    TableName::Resolution,
+    TableName::Directions,
+    TableName::Dynamic,
+    TableName::Throughput,
+];
+/// Lights of Table II.
+const LIGHTS: [u32; 5] = [512, 1024, 2048, 4096, 10_000];
+/// log2 of voxels a side in Table III.
+const ROW_BITS: [u32; 3] = [5, 6, 7];
+/// Steps of both angles in Table IV.
+const DIRECTION_STEPS: [u32; 3] = [30, 60, 90];
+/// Stand-ins for the paper's City, Trees and Garden, with their triangle counts.
+const PAPER_SCENES: [&str; 3] = ["city:871000", "forest:626000", "park:416000"];
+/// Triangles of the deforming object of Table V.
+const BEAR_TRIANGLES: u32 = 200_000;
+/// Scenes of Table VI.
+const GROWING_SCENES: [&str; 3] = ["city:100000", "city:1000000", "city:10000000"];
 
 /// Runs the command.
 pub(crate) fn run_command(args: &Args) -> CliResult {
@@ -71,28 +135,84 @@ pub(crate) fn run(
             Ok(())
         }
     };
+    let scenes_or = |names: &[&str]| match args.scenes.as_slice() {
+        [] => names.iter().map(|name| name.parse().expect("a generated scene's name")).collect(),
+        scenes => scenes.to_vec(),
+    };
     if wanted(TableName::Voxels) {
-        done(&voxels::run(args.scenes.iter().map(BenchScene::load), progress)?)?;
+        done(&voxels::run(scenes_or(&["town:100000"]).iter().map(BenchScene::load), progress)?)?;
     }
     if wanted(TableName::Rows) {
         let Args { directions, rays, seed, .. } = *args;
         let settings = rows::RowsSettings { directions, rays, seed, bias: OriginBias::default() };
         let detail = if args.full { Detail::Full } else { Detail::Brief };
         let variants = variants(detail);
-        for source in &args.scenes {
+        for source in &scenes_or(&["town:100000"]) {
             let scene = BenchScene::load(source)?;
             for table in rows::run(&scene, &variants, &settings, progress)? {
                 done(&table)?;
             }
         }
     }
+    let gpu = match PAPER_TABLES.iter().any(|&table| wanted(table)) {
+        true => GpuContext::open(&AdapterChoice::from_env()).ok(),
+        false => return Ok(()),
+    };
+    let adapter = gpu.as_ref().map(|context| context.name().to_owned());
+    let methods = &OurMethods { gpu };
+    let settings = TableSettings {
+        size: args.size,
+        lights: args.lights,
+        seed: args.seed,
+        most_pairs: args.million_pairs * 1_000_000,
+        repeats: args.repeats,
+        methods: args.methods.clone(),
+        ..TableSettings::default()
+    };
+    let mut done = |mut table: Table| {
+        table.run = Some(RunInfo::gather(command_line(), adapter.clone()));
+        done(&table)
+    };
+    let paper = scenes_or(&PAPER_SCENES);
+    if wanted(TableName::Scenes) {
+        done(tables::scenes(&paper, methods, &settings, progress)?)?;
+    }
+    if wanted(TableName::Lights) {
+        for source in &paper {
+            done(tables::lights(source, &LIGHTS, methods, &settings, progress)?)?;
+        }
+    }
+    if wanted(TableName::Resolution) {
+        done(tables::resolution(&paper, &ROW_BITS, methods, &settings, progress)?)?;
+    }
+    if wanted(TableName::Directions) {
+        done(tables::directions(&paper, &DIRECTION_STEPS, methods, &settings, progress)?)?;
+    }
+    if wanted(TableName::Dynamic) {
+        done(tables::dynamic(&DynamicSettings::default(), &settings, progress)?)?;
+        let gpu = methods.gpu.as_ref();
+        done(tables::deforming_rows(BEAR_TRIANGLES, &DIRECTION_STEPS, &ROW_BITS[1..], gpu, progress)?)?;
+    }
+    if wanted(TableName::Throughput) {
+        done(tables::throughput(&scenes_or(&GROWING_SCENES), methods, &settings, progress)?)?;
+    }
     Ok(())
+}
+
+/// The command as a shell would take it, without the program's folder.
+fn command_line() -> String {
+    let arguments = std::env::args().skip(1).map(|argument| match argument.contains([' ', '"', '\'']) {
+        true => format!("{argument:?}"),
+        false => argument,
+    });
+    std::iter::once("manyview".to_owned()).chain(arguments).collect::<Vec<_>>().join(" ")
 }
 
 impl From<BenchError> for CliError {
     fn from(error: BenchError) -> Self {
         let exit = match error {
             BenchError::Cancelled => Exit::Cancelled,
+            BenchError::NoSuchMethod { .. } => Exit::Usage,
             _ => Exit::BadInput,
         };
         Self::new(exit, error)
@@ -121,6 +241,9 @@ mod tests {
         assert_eq!((args.tables, args.scenes.len(), args.rays), (vec![TableName::Rows], 2, 9));
         assert!(parse(&["columns"]).is_err() && parse(&["--scene", "city:x"]).is_err());
         assert!(parse(&["--directions", "0"]).is_err());
+        let args = parse(&["I", "VI", "throughput", "--size", "320x180"]).unwrap();
+        assert_eq!(args.tables, [TableName::Scenes, TableName::Throughput, TableName::Throughput]);
+        assert!(args.size == [320, 180] && parse(&["--size", "0x9"]).is_err());
     }
 
     #[test]

@@ -12,6 +12,7 @@ mod inspect;
 mod output;
 mod preview;
 mod progress;
+mod rays;
 mod render;
 mod scene;
 mod verify;
@@ -49,6 +50,8 @@ enum Command {
     Diff(diff::Options),
     /// Writes the occupied cells of an octree level as a NumPy array
     Voxels(voxels::Options),
+    /// Tests segments: is anything between two points, or how far is the first hit?
+    Rays(rays::Options),
     /// Measures voxels and rows against exact references
     Bench(bench::Args),
     /// Draws a scene in the light of many lights
@@ -81,6 +84,7 @@ pub(crate) fn main() -> ExitCode {
         Command::Verify(options) => verify::run(options),
         Command::Diff(options) => diff::run(options),
         Command::Voxels(options) => voxels::run(options),
+        Command::Rays(options) => rays::run(options),
         Command::Bench(options) => bench::run_command(options),
         Command::Preview(options) => preview::run(options),
         Command::Render(options) => render::run(options),

@@ -204,6 +204,12 @@ impl GpuContext {
         Ok(result)
     }
 
+    /// Submits commands and waits until they are done.
+    pub fn finish(&self, encoder: wgpu::CommandEncoder) -> Result<(), DeviceError> {
+        let submission = self.guarded("commands", 0, || self.queue.submit([encoder.finish()]))?;
+        self.wait(&submission)
+    }
+
     /// Lets wgpu call back about work that is done. Never waits.
     pub(super) fn pump(&self) -> Result<(), DeviceError> {
         self.check()?;

@@ -43,14 +43,14 @@ pub fn rotate_points(
                 even = points.iter().chain(points.last()).copied().collect();
                 &even
             };
-            let params =
-                [PointParams { pairs: (points.len() / 2) as u32, grid_bits: bits, reserved: [0; 2] }];
+            let pairs = (points.len() / 2) as u32;
+            let params = [PointParams { pairs, grid_bits: bits, row_bits: bits, reserved: 0 }];
             let mut recording = Recording::new();
             recording.upload(params_buffer, &params);
             recording.upload(points_buffer, points);
             recording.dispatch(
                 &stages::rotate_points,
-                [params[0].pairs.div_ceil(64 * PAIRS_PER_INVOCATION), frames.len() as u32, 1],
+                [pairs.div_ceil(64 * PAIRS_PER_INVOCATION), frames.len() as u32, 1],
                 &[params_buffer.into(), frames_buffer.into(), points_buffer.into(), out.into()],
             );
             work.executor.run(&recording)?;

@@ -13,7 +13,7 @@ pub(super) fn twin(workgroups: [u32; 3], bindings: &mut [CpuBinding]) {
             for &point in pair {
                 let [u, v, w] = frames[direction as usize].voxel(point, params.grid_bits);
                 let b = params.grid_bits;
-                let bit = (((direction << b | v) << b | u) << b) | w;
+                let bit = (((direction << b | v) << b | u) << params.row_bits) | w;
                 bits[bit as usize / 32] |= 1 << (bit % 32);
             }
         }
