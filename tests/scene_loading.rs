@@ -32,7 +32,7 @@ fn a_scene_has_the_rows_of_all_blocks_in_order() {
         assert_eq!(of_bits.get_or_insert(expected), &**scene.words(), "storage changes nothing");
         assert_eq!(scene.frames(), archive.frames().unwrap());
         assert_eq!(Some(scene.rows_info()), archive.rows_info());
-        assert_eq!(scene.rows().rows.len(), 36 * 1024);
+        assert_eq!(scene.words().len(), 36 * 1024);
     }
 }
 

@@ -26,7 +26,7 @@ pub fn row_mask(first: i32, last: i32) -> [u64; 2] {
     let half = |start: i32| {
         let (from, to) = (first - start, last - start);
         let is_met = u64::from((from <= 63) & (to >= 0) & (first <= last));
-        let (from, to) = (from.max(0).min(63), to.max(0).min(63));
+        let (from, to) = (from.clamp(0, 63), to.clamp(0, 63));
         (u64::MAX << from) & (u64::MAX >> (63 - to)) & is_met.wrapping_neg()
     };
     [half(0), half(64)]

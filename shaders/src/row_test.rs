@@ -464,9 +464,10 @@ fn lifted(normal: i32, largest: i32, quarter: i32) -> i32 {
 
 /// Which rows a segment looks at in its direction, and which bits.
 ///
-/// `normal` is [`RowTestParams::normal_in_steps`]; zero for a free origin.
+/// `SPLIT` is [`RowTestParams::split`], known when compiled. `normal` is [`RowTestParams::normal_in_steps`]; zero for a
+/// free origin.
 #[inline(always)]
-pub fn plan_rows(
+pub fn plan_rows<const SPLIT: bool>(
     params: &RowTestParams,
     frame: &TestFrame,
     segment: &LatticeSegment,
@@ -486,24 +487,37 @@ pub fn plan_rows(
     let way_from = [0, 1, 2].map(|i| to[i].wrapping_sub(from[i]));
     let upwards = way[2] >= 0;
     let start = from[2].wrapping_add(if upwards { skip } else { -skip });
-    let split = params.split == 1;
     let border = from[2].wrapping_add(way_from[2] >> 2);
-    let near_end = if split { border } else { to[2] };
+    let near_end = if SPLIT { border } else { to[2] };
     let single = |i: usize| from[i].wrapping_add(way_from[i] >> 3).wrapping_add(way_from[i] >> 4);
     let first = |i: usize| from[i].wrapping_add(way_from[i] >> 3);
     let second = |i: usize| from[i].wrapping_add(way_from[i] >> 1).wrapping_add(way_from[i] >> 3);
-    let near = [0, 1].map(|i| if split { first(i) } else { single(i) });
+    let near = [0, 1].map(|i| if SPLIT { first(i) } else { single(i) });
     let far = [0, 1].map(second);
     // Where skipping the origin's surface skips the first row's piece, it goes on in the second.
     let is_skipped = if upwards { start > border } else { start < border };
     let far_start = if is_skipped { start } else { border };
     let mut far = row_part(params.bits, far, far_start, to[2], upwards);
-    far.last = if split { far.last } else { -1 };
+    far.last = if SPLIT { far.last } else { -1 };
     RowPlan {
         near: row_part(params.bits, near, start, near_end, upwards),
         far,
         origin_w: raw[2],
         way_w: way[2],
+    }
+}
+
+/// [`plan_rows`] as the parameters ask for.
+#[inline]
+pub fn plan_any(
+    params: &RowTestParams,
+    frame: &TestFrame,
+    segment: &LatticeSegment,
+    normal: [i32; 3],
+) -> RowPlan {
+    match params.split {
+        1 => plan_rows::<true>(params, frame, segment, normal),
+        _ => plan_rows::<false>(params, frame, segment, normal),
     }
 }
 

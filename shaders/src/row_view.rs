@@ -4,7 +4,7 @@ use crate::executor::CpuBinding;
 use crate::row_bits::DirectionBits;
 use crate::row_test::{
     LatticeSegment, NEAR_STEPS, PackedFrame, RowPlan, RowTestParams, TEST_RAW_BITS, all_within,
-    cut_far_segment, cut_segment, plan_rows, table_cell,
+    cut_far_segment, cut_segment, plan_any, table_cell,
 };
 use crate::rows_texture::RowsImage;
 use crate::types::Segment;
@@ -74,7 +74,7 @@ impl<'a> RowView<'a> {
             bits: self.params.bits,
             consensus: self.params.consensus == 1,
         };
-        Some((cut, plan_rows(&self.params, &self.frames[tile as usize].unpacked(), &cut, normal), bits))
+        Some((cut, plan_any(&self.params, &self.frames[tile as usize].unpacked(), &cut, normal), bits))
     }
 }
 

@@ -14,8 +14,7 @@ pub const MAX_NORMAL: f32 = 2.0;
 pub fn is_behind(segment: &Segment) -> bool {
     let along = [0, 1, 2].map(|i| segment.target[i] - segment.origin[i]);
     let n = segment.normal;
-    // Written so that nothing but a positive cosine is in front.
-    n != [0.0; 3] && !(along[0] * n[0] + along[1] * n[1] + along[2] * n[2] > 0.0)
+    n != [0.0; 3] && along[0] * n[0] + along[1] * n[1] + along[2] * n[2] <= 0.0
 }
 
 /// The segment as methods take it, or `None` if nothing can be between its ends: a coordinate is not finite, the ends

@@ -6,8 +6,8 @@
 
 use manyview_shaders::row_bits::{DirectionBits, row_mask, row_of_128};
 use manyview_shaders::row_test::{
-    LatticeSegment, NEAR_STEPS, RowPart, RowPlan, RowTestParams, TestFrame, all_within, cut_far_segment,
-    cut_segment, plan_rows, table_cell, whole,
+    LatticeSegment, NEAR_STEPS, RowPart, RowTestParams, TestFrame, all_within, cut_far_segment, cut_segment,
+    plan_any, plan_rows, table_cell, whole,
 };
 use manyview_shaders::row_view::first_share;
 use manyview_shaders::testable::{MAX_NORMAL, MIN_LENGTH_SQUARED, testable};
@@ -208,13 +208,13 @@ struct Parts {
 impl Parts {
     const EMPTY: Self = Self { row: [0; LANES], first: [0; LANES], last: [-1; LANES], sides: [0; LANES] };
 
-    /// Takes `part` where `mine` is all ones, not 0.
     #[inline(always)]
-    fn set(&mut self, lane: usize, part: RowPart, first_row: u32, mine: i32) {
-        self.row[lane] = self.row[lane] & !mine as u32 | (part.row + first_row) & mine as u32;
-        self.first[lane] = self.first[lane] & !mine | part.first & mine;
-        self.last[lane] = self.last[lane] & !mine | part.last & mine;
-        self.sides[lane] = self.sides[lane] & !mine as u32 | part.sides & mine as u32;
+    fn set(&mut self, lane: usize, part: RowPart, first_row: u32, is_mine: bool) {
+        let or = |mine: i32, old: i32| if is_mine { mine } else { old };
+        self.row[lane] = or((part.row + first_row) as i32, self.row[lane] as i32) as u32;
+        self.first[lane] = or(part.first, self.first[lane]);
+        self.last[lane] = or(part.last, self.last[lane]);
+        self.sides[lane] = or(part.sides as i32, self.sides[lane] as i32) as u32;
     }
 }
 
@@ -222,19 +222,26 @@ impl Parts {
 struct Plans {
     near: Parts,
     far: Parts,
-    origin_w: Lanes<i32>,
-    way_w: Lanes<i32>,
 }
 
 impl Plans {
-    const EMPTY: Self =
-        Self { near: Parts::EMPTY, far: Parts::EMPTY, origin_w: [0; LANES], way_w: [0; LANES] };
+    const EMPTY: Self = Self { near: Parts::EMPTY, far: Parts::EMPTY };
+}
+
+#[inline(always)]
+fn lattice_segment(origins: &Origins, ways: &Ways, lane: usize) -> LatticeSegment {
+    let three = |v: &[Lanes<i32>; 3]| [v[0][lane], v[1][lane], v[2][lane]];
+    LatticeSegment { origin: three(&origins.steps), way: three(&ways.steps), ..LatticeSegment::default() }
+}
+
+#[inline(always)]
+fn normal_of(origins: &Origins, lane: usize) -> [i32; 3] {
+    [origins.normal_steps[0][lane], origins.normal_steps[1][lane], origins.normal_steps[2][lane]]
 }
 
 /// Plans the tests of the `active` lanes, a direction at a time: neighbours mostly have the same.
 #[inline(always)]
-fn plan(view: &View, origins: &Origins, ways: &Ways, mut active: u16) -> Plans {
-    let mut plans = Plans::EMPTY;
+fn plan<const SPLIT: bool>(view: &View, origins: &Origins, ways: &Ways, mut active: u16, plans: &mut Plans) {
     let mut directions = [0u32; LANES];
     for lane in 0..LANES {
         directions[lane] = u32::from(view.table[ways.cell[lane] as usize]);
@@ -245,24 +252,17 @@ fn plan(view: &View, origins: &Origins, ways: &Ways, mut active: u16) -> Plans {
         let first_row = direction << (2 * view.params.bits);
         let mut same = [0u32; LANES];
         for lane in 0..LANES {
-            let mine = u32::from(directions[lane] == direction);
-            same[lane] = mine;
-            let mine = mine.wrapping_neg() as i32;
-            let three = |v: &[Lanes<i32>; 3]| [v[0][lane], v[1][lane], v[2][lane]];
-            let segment = LatticeSegment {
-                origin: three(&origins.steps),
-                way: three(&ways.steps),
-                ..LatticeSegment::default()
-            };
-            let plan = plan_rows(view.params, frame, &segment, three(&origins.normal_steps));
-            plans.near.set(lane, plan.near, first_row, mine);
-            plans.far.set(lane, plan.far, first_row, mine);
-            plans.origin_w[lane] = plans.origin_w[lane] & !mine | plan.origin_w & mine;
-            plans.way_w[lane] = plans.way_w[lane] & !mine | plan.way_w & mine;
+            let is_mine = directions[lane] == direction;
+            same[lane] = u32::from(is_mine);
+            let segment = lattice_segment(origins, ways, lane);
+            let plan = plan_rows::<SPLIT>(view.params, frame, &segment, normal_of(origins, lane));
+            plans.near.set(lane, plan.near, first_row, is_mine);
+            if SPLIT {
+                plans.far.set(lane, plan.far, first_row, is_mine);
+            }
         }
         active &= !gathered(&same);
     }
-    plans
 }
 
 fn lanes(mut mask: u16) -> impl Iterator<Item = usize> {
@@ -271,6 +271,28 @@ fn lanes(mut mask: u16) -> impl Iterator<Item = usize> {
         mask &= mask - 1;
         Some(lane)
     })
+}
+
+/// Every how many lanes a row is fetched ahead; those between mostly lie in the same cache lines.
+const PREFETCH_STEP: usize = 2;
+
+/// Tells the processor that a word will be read soon.
+#[inline(always)]
+fn prefetch(rows: &[u32], word: usize) {
+    #[cfg(target_arch = "x86_64")]
+    if let Some(word) = rows.get(word) {
+        use std::arch::x86_64::{_MM_HINT_T0, _mm_prefetch};
+        #[allow(unsafe_code, reason = "there is no safe way to prefetch")]
+        // SAFETY: the pointer is to a word of `rows`, and a prefetch reads nothing anyway. Tested with all that
+        // tests lights: `lights_and_segments_say_the_same`.
+        unsafe {
+            _mm_prefetch::<_MM_HINT_T0>(std::ptr::from_ref(word).cast());
+        }
+    }
+    #[cfg(not(target_arch = "x86_64"))]
+    {
+        _ = (rows, word);
+    }
 }
 
 /// Lanes of `active` with a bit in their parts.
@@ -321,7 +343,7 @@ fn far_hit(view: &View, segment: &Segment) -> Option<f32> {
     }
     let direction = view.table[table_cell(way) as usize];
     // So far away no surface is the origin's.
-    let plan = plan_rows(view.params, &view.frames[usize::from(direction)], &cut, [0; 3]);
+    let plan = plan_any(view.params, &view.frames[usize::from(direction)], &cut, [0; 3]);
     let share = first_share(&view.direction(u32::from(direction)), &plan)?;
     Some(cut.cut + cut.share * share)
 }
@@ -329,14 +351,28 @@ fn far_hit(view: &View, segment: &Segment) -> Option<f32> {
 /// [`crate::visibility::Visibility::hidden_lights`].
 #[inline(always)]
 fn hidden_lights_of(view: &View, receivers: &[Receiver], lights: &[LightPoint], hidden: &mut [u32]) {
+    if view.params.split == 1 {
+        hidden_lights_by::<true>(view, receivers, lights, hidden);
+    } else {
+        hidden_lights_by::<false>(view, receivers, lights, hidden);
+    }
+}
+
+#[inline(always)]
+fn hidden_lights_by<const SPLIT: bool>(
+    view: &View,
+    receivers: &[Receiver],
+    lights: &[LightPoint],
+    hidden: &mut [u32],
+) {
     let words = lights.len().div_ceil(32);
+    let mut plans = [const { Plans::EMPTY }; 32];
     for (receivers, hidden) in receivers.chunks(LANES).zip(hidden.chunks_mut(LANES * words)) {
         let origins = Origins::new(view.params, receivers.iter().map(|r| (r.position, r.normal)));
         let all = u16::MAX >> (LANES - origins.count);
         for (block, lights) in lights.chunks(32).enumerate() {
             let mut hits = [0u16; 32];
             let mut seen = [0u16; 32];
-            let mut plans = [const { Plans::EMPTY }; 32];
             for (bit, light) in lights.iter().enumerate() {
                 let ways = ways(view.params, &origins, |lane| {
                     let at = |i: usize| light.offset[i] + light.position_weight * origins.position[i][lane];
@@ -346,12 +382,18 @@ fn hidden_lights_of(view: &View, receivers: &[Receiver], lights: &[LightPoint], 
                 let in_front = ways.facing | !origins.on_surface;
                 hits[bit] = all & !in_front & ways.valid;
                 seen[bit] = all & in_front & ways.valid & !origins.far;
-                plans[bit] = plan(view, &origins, &ways, seen[bit]);
+                plan::<SPLIT>(view, &origins, &ways, seen[bit], &mut plans[bit]);
+                // They are looked at when all 32 lights are planned: by then the rows have arrived.
+                if seen[bit] != 0 && view.params.bits == 7 {
+                    for lane in (0..LANES).step_by(PREFETCH_STEP) {
+                        prefetch(view.rows, plans[bit].near.row[lane] as usize * 4);
+                    }
+                }
             }
             for bit in 0..lights.len() {
                 hits[bit] |= hit_lanes(view, &plans[bit].near, seen[bit]);
             }
-            if view.params.split == 1 {
+            if SPLIT {
                 for bit in 0..lights.len() {
                     let left = seen[bit] & !hits[bit];
                     if left != 0 {
@@ -386,9 +428,15 @@ fn occluded_of(view: &View, segments: &[Segment], order: &[u32], mut found: impl
         order.iter().zip(&mut targets).for_each(|(i, target)| *target = at(i).target);
         let ways = ways(view.params, &origins, |lane| targets[lane]);
         let active = all & ways.valid & !origins.far;
-        let plans = plan(view, &origins, &ways, active);
+        let mut plans = Plans::EMPTY;
+        let is_split = view.params.split == 1;
+        if is_split {
+            plan::<true>(view, &origins, &ways, active, &mut plans);
+        } else {
+            plan::<false>(view, &origins, &ways, active, &mut plans);
+        }
         let mut occluded = hit_lanes(view, &plans.near, active);
-        if view.params.split == 1 {
+        if is_split {
             occluded |= hit_lanes(view, &plans.far, active & !occluded);
         }
         for lane in lanes(origins.far & all) {
@@ -412,11 +460,11 @@ fn distances_of(view: &View, segments: &[Segment], order: &[u32], mut found: imp
         let ways = ways(view.params, &origins, |lane| targets[lane]);
         let mut shares = [None; LANES];
         let active = all & ways.valid & !origins.far;
-        let plans = plan(view, &origins, &ways, active);
         for lane in lanes(active) {
-            let ((bits, near), (_, far)) = (view.part(&plans.near, lane), view.part(&plans.far, lane));
-            let (origin_w, way_w) = (plans.origin_w[lane], plans.way_w[lane]);
-            let share = first_share(&bits, &RowPlan { near, far, origin_w, way_w });
+            let direction = u32::from(view.table[ways.cell[lane] as usize]);
+            let (segment, normal) = (lattice_segment(&origins, &ways, lane), normal_of(&origins, lane));
+            let plan = plan_any(view.params, &view.frames[direction as usize], &segment, normal);
+            let share = first_share(&view.direction(direction), &plan);
             shares[lane] = share.map(|share| share * ways.share[lane]);
         }
         for lane in lanes(origins.far & all) {
