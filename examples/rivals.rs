@@ -8,13 +8,13 @@
 use anyhow::{Context, Result, bail};
 use glam::DVec3;
 use manyview::bench::{BenchScene, Random};
+use manyview::exact::ExactRays;
 use manyview::gpu::{AdapterChoice, GpuContext, GpuScene, StreamOptions, WgpuExecutor};
 use manyview::preview::{CameraChoice, Scene, choose_camera};
-use manyview::rays::paper::PaperRows;
 use manyview::rays::{RowTester, TestSettings};
 use manyview::reference::{Reference, area_normal};
 use manyview::rivals::brickmap::{self, BrickmapBias, BrickmapVisibility};
-use manyview::rivals::bvh::{BvhVisibility, ExactVisibility};
+use manyview::rivals::bvh::BvhVisibility;
 use manyview::rivals::ism::{IsmOptions, IsmVisibility};
 use manyview::rivals::wide_bvh::WideBvh;
 use manyview::visibility::{LightPoint, Receiver, Visibility, light_words};
@@ -175,7 +175,7 @@ fn main() -> Result<()> {
             LightPoint::at((min + (max - min) * share).as_vec3().to_array())
         })
         .collect();
-    let exact_method = ExactVisibility::new(&reference);
+    let exact_method = ExactRays::new(&reference);
     let mut exact = vec![0; receivers.len() * light_words(lights.len())];
     let start = Instant::now();
     exact_method.hidden_lights(&receivers, &lights, &mut exact)?;
@@ -247,7 +247,7 @@ fn main() -> Result<()> {
     for (label, settings) in [("rows (CPU)", TestSettings::EXACT), ("rows-fast (CPU)", TestSettings::FAST)] {
         bench.run(label, &RowTester::of(&cpu_scene).with_settings(settings), 1)?;
     }
-    bench.run("the paper's rows (CPU, f64)", &PaperRows::new(&cpu_scene), 8)?;
+    bench.run("the paper's rows (CPU, f64)", &cpu_scene.paper_rows(), 8)?;
     let ism = IsmVisibility::new(&reference, IsmOptions::default());
     bench.run("ism (CPU)", &ism, 1)?;
     bench.run("bvh (CPU)", &BvhVisibility::new(&reference), 1)?;
@@ -260,7 +260,7 @@ fn main() -> Result<()> {
         for (label, settings) in
             [("wgsl-rows (GPU)", TestSettings::EXACT), ("wgsl-rows, fast (GPU)", TestSettings::FAST)]
         {
-            bench.run(label, &manyview::rays::on_gpu(&scene, &settings)?, 1)?;
+            bench.run(label, &manyview::rays::on_gpu(context, &scene, &settings)?, 1)?;
         }
     }
     let gpu = || {

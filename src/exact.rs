@@ -5,14 +5,17 @@ use crate::visibility::{LightPoint, Receiver, Segment, Visibility, VisibilityErr
 use glam::DVec3;
 use manyview_shaders::testable::testable;
 use rayon::prelude::*;
+use std::borrow::Borrow;
+use std::marker::PhantomData;
 
 /// The exact ray tracer behind [`Visibility`]: method `exact`.
 ///
 /// A segment that starts on a surface does not hit it there: only hits strictly between the ends count, and an origin
 /// with a normal is lifted along it by [`LIFT`] of the scene's diagonal, which is what `f32` coordinates of a surface
 /// point may lie below it.
-pub struct ExactRays<'a> {
-    reference: Reference<'a>,
+pub struct ExactRays<'a, R = Reference<'a>> {
+    reference: R,
+    scene: PhantomData<&'a ()>,
     /// Corners of a box around the scene, with room to spare.
     around: [DVec3; 2],
     lift_metres: f64,
@@ -24,25 +27,24 @@ pub const LIFT: f64 = 1e-6;
 /// Or this share of the scene's largest coordinate, if that is more: four times what `f32` rounds it by.
 const ROUNDING: f64 = 2.4e-7;
 
-impl<'a> ExactRays<'a> {
-    /// Takes the ray tracer.
-    pub fn new(reference: Reference<'a>) -> Self {
-        let first = reference.triangles().first().map_or(DVec3::ZERO, |t| t[0]);
-        let (min, max) = reference
-            .triangles()
-            .iter()
-            .flatten()
-            .fold((first, first), |(min, max), &p| (min.min(p), max.max(p)));
+impl<'a, R: Borrow<Reference<'a>>> ExactRays<'a, R> {
+    /// Takes the ray tracer, or borrows it.
+    pub fn new(reference: R) -> Self {
+        let triangles = reference.borrow().triangles();
+        let first = triangles.first().map_or(DVec3::ZERO, |t| t[0]);
+        let (min, max) =
+            triangles.iter().flatten().fold((first, first), |(min, max), &p| (min.min(p), max.max(p)));
         let diagonal = (max - min).length();
         let around = [min - diagonal * 0.01, max + diagonal * 0.01];
         // Far from the origin of the world, coordinates are rounded to more than that.
         let rounding = min.abs().max(max.abs()).max_element() * ROUNDING;
-        Self { reference, around, lift_metres: (diagonal * LIFT).max(rounding) }
+        let lift_metres = (diagonal * LIFT).max(rounding);
+        Self { reference, scene: PhantomData, around, lift_metres }
     }
 
     /// The ray tracer.
     pub fn reference(&self) -> &Reference<'a> {
-        &self.reference
+        self.reference.borrow()
     }
 
     /// Both ends in `f64`, the origin lifted; `None` where the segment hits nothing by definition or is elsewhere. Ends
@@ -66,14 +68,14 @@ impl<'a> ExactRays<'a> {
     }
 
     fn is_occluded(&self, segment: &Segment) -> bool {
-        self.ends(segment).is_some_and(|([origin, target], _)| self.reference.is_occluded(origin, target))
+        self.ends(segment).is_some_and(|([origin, target], _)| self.reference().is_occluded(origin, target))
     }
 }
 
 /// Segments that one thread tests at a time.
 const PIECE: usize = 256;
 
-impl Visibility for ExactRays<'_> {
+impl<'a, R: Borrow<Reference<'a>> + Sync> Visibility for ExactRays<'a, R> {
     fn name(&self) -> &'static str {
         "exact"
     }
@@ -94,7 +96,7 @@ impl Visibility for ExactRays<'_> {
             for (segment, distance) in segments.iter().zip(distances) {
                 let hit = self.ends(segment).and_then(|([origin, target], before)| {
                     let direction = (target - origin).normalize_or_zero();
-                    let hit = self.reference.intersect(origin, direction, (target - origin).length())?;
+                    let hit = self.reference().intersect(origin, direction, (target - origin).length())?;
                     Some(before + hit.t)
                 });
                 *distance = hit.map_or(f32::INFINITY, |metres| metres as f32);

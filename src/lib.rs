@@ -9,7 +9,6 @@ pub mod exact;
 pub mod gpu;
 pub mod instances;
 pub mod npy;
-pub mod plain_rows;
 pub mod preview;
 pub mod rays;
 #[cfg(feature = "bake")]

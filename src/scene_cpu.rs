@@ -7,7 +7,7 @@ use manyview_shaders::rows_texture::{RowsImage, RowsTexture, RowsTextureError};
 use manyview_shaders::sections::RowsInfo;
 
 use crate::archive::{Archive, LoadError};
-use crate::rays::paper::Rows;
+use crate::rays::paper::PaperRows;
 
 /// All rows of a bake with what is needed to ask them, the counterpart of [`GpuScene`](crate::gpu::GpuScene) for the
 /// CPU.
@@ -58,15 +58,10 @@ impl CpuScene {
         &self.rows
     }
 
-    /// The rows, for the paper's own test; [`RowTester::of`](crate::rays::RowTester::of) is ours.
-    pub fn paper_rows(&self) -> Rows<'_> {
-        Rows {
-            directions: self.directions,
-            lattice: self.row_lattice(),
-            bits: self.info.bits,
-            frames: &self.frames,
-            rows: &self.rows,
-        }
+    /// The paper's own test over these rows; [`RowTester::of`](crate::rays::RowTester::of) is ours.
+    pub fn paper_rows(&self) -> PaperRows {
+        let (frames, rows) = (Arc::clone(&self.frames), Arc::clone(&self.rows));
+        PaperRows::new(self.directions, self.row_lattice(), self.info.bits, frames, rows)
     }
 
     /// The rows as a texture, for stages on the CPU

@@ -117,7 +117,7 @@ fn segments_are_answered_alike(context: &GpuContext) -> Result<(), Failed> {
             let hits = occluded.iter().filter(|hit| **hit == 1).count();
             ensure(hits > 60 && hits < segments.len() - 60, || format!("{bits} bits: {hits} hits"))?;
             let methods: [(&str, &dyn Visibility); 2] =
-                [("twins", &on_twins(&scene, &settings)?), ("GPU", &on_gpu(&on_device, &settings)?)];
+                [("twins", &on_twins(&scene, &settings)?), ("GPU", &on_gpu(context, &on_device, &settings)?)];
             for (name, method) in methods {
                 let found = ask(method)?;
                 for (i, segment) in segments.iter().enumerate() {
@@ -157,7 +157,7 @@ fn lights_are_hidden_alike(context: &GpuContext) -> Result<(), Failed> {
         };
         let expected = ask(&RowTester::of(&scene).with_settings(settings))?;
         ensure(ask(&on_twins(&scene, &settings)?)? == expected, || format!("twins, {settings:?}"))?;
-        ensure(ask(&on_gpu(&on_device, &settings)?)? == expected, || format!("GPU, {settings:?}"))?;
+        ensure(ask(&on_gpu(context, &on_device, &settings)?)? == expected, || format!("GPU, {settings:?}"))?;
     }
     Ok(())
 }
@@ -173,7 +173,7 @@ fn a_scene_still_arriving(context: &GpuContext) -> Result<(), Failed> {
         Ok(occluded)
     };
     let settings = TestSettings::FAST;
-    let method = on_gpu(&on_device, &settings)?;
+    let method = on_gpu(context, &on_device, &settings)?;
     let early = ask(&method)?;
     ensure(early.contains(&1), || "nothing is occluded by the coarse part".to_owned())?;
     on_device.finish()?;

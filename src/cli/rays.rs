@@ -9,7 +9,7 @@ use manyview::Archive;
 use manyview::bench::{BenchScene, SceneSource};
 use manyview::exact::ExactRays;
 use manyview::npy::{self, ArrayReader, ReadError};
-use manyview::rays::RowTester;
+use manyview::rays::{RowTester, TestSettings};
 use manyview::reference::Reference;
 use manyview::rivals::brickmap::{self, BrickmapVisibility};
 use manyview::rivals::bvh::BvhVisibility;
@@ -62,8 +62,10 @@ finite, hits nothing; a normal that is not finite counts as zeros. Ends may lie 
 /// Ways to test segments.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, ValueEnum)]
 pub(crate) enum MethodName {
-    /// The bake's rows: one look-up a segment, approximate
+    /// The bake's rows: a look-up or two a segment, approximate
     Rows,
+    /// The same with one look-up: faster, less exact
+    RowsFast,
     /// Marching through the cells of the bake's octree, approximate
     Brickmap,
     /// Ray tracing of the scene's triangles, in 32-bit floats
@@ -136,6 +138,9 @@ pub(crate) fn with_method<R>(
 ) -> Result<R, CliError> {
     match name {
         MethodName::Rows => work(&RowTester::load(&input.into_archive(true)?)?),
+        MethodName::RowsFast => {
+            work(&RowTester::load(&input.into_archive(true)?)?.with_settings(TestSettings::FAST))
+        }
         MethodName::Brickmap => {
             let svo = input.into_archive(false)?.svo()?;
             work(&BrickmapVisibility::new(brickmap::from_svo(&svo, u32::MAX, brickmap::DEFAULT_BIAS)))

@@ -9,12 +9,12 @@
 //! origin along its normal and skips a piece of the row that grows as the ray gets flatter. Both are counted in voxels
 //! of the direction at hand, whose grid may be narrower along one axis than along another.
 
-use crate::scene_cpu::CpuScene;
 use crate::visibility::{Segment, Visibility, VisibilityError};
 use glam::{DMat3, DVec3, Vec3};
 use manyview_shaders::directions::{DirectionFrame, DirectionSet, RowLattice};
 use manyview_shaders::testable::testable;
 use rayon::prelude::*;
+use std::sync::Arc;
 
 /// What is asked, in double precision: is anything between two points?
 #[derive(Debug, Clone, Copy, PartialEq)]
@@ -160,14 +160,31 @@ impl Rows<'_> {
 /// The paper's own test as a method, on all threads: slow, and the yardstick for errors.
 #[derive(Debug, Clone)]
 pub struct PaperRows {
-    scene: CpuScene,
+    directions: DirectionSet,
+    lattice: RowLattice,
+    bits: u32,
+    frames: Arc<Vec<DirectionFrame>>,
+    rows: Arc<Vec<u32>>,
     bias: OriginBias,
 }
 
 impl PaperRows {
-    /// Over the rows of a scene in memory, with the usual bias.
-    pub fn new(scene: &CpuScene) -> Self {
-        Self { scene: scene.clone(), bias: OriginBias::default() }
+    /// Over the rows of all directions, `2^bits` voxels a side, layout of `rows.bits` ([`manyview_shaders::sections`]);
+    /// with the usual bias.
+    ///
+    /// # Panics
+    /// If there are not as many frames and rows as directions.
+    pub fn new(
+        directions: DirectionSet,
+        lattice: RowLattice,
+        bits: u32,
+        frames: Arc<Vec<DirectionFrame>>,
+        rows: Arc<Vec<u32>>,
+    ) -> Self {
+        let count = directions.count() as usize;
+        assert_eq!(frames.len(), count, "one frame for each direction");
+        assert_eq!(rows.len(), count << (3 * bits - 5), "rows for each direction");
+        Self { directions, lattice, bits, frames, rows, bias: OriginBias::default() }
     }
 }
 
@@ -178,7 +195,8 @@ impl Visibility for PaperRows {
 
     fn occluded(&self, segments: &[Segment], occluded: &mut [u8]) -> Result<(), VisibilityError> {
         assert_eq!(segments.len(), occluded.len(), "one answer per segment");
-        let rows = self.scene.paper_rows();
+        let Self { directions, lattice, bits, .. } = *self;
+        let rows = Rows { directions, lattice, bits, frames: &self.frames, rows: &self.rows };
         segments.par_iter().zip(occluded).with_min_len(256).for_each(|(segment, occluded)| {
             *occluded = testable(segment).map_or(0, |segment| {
                 let [origin, target, normal] =

@@ -1,5 +1,5 @@
 use super::TestSettings;
-use crate::gpu::{GpuScene, WgpuExecutor};
+use crate::gpu::{GpuContext, GpuScene, WgpuExecutor};
 use crate::scene_cpu::CpuScene;
 use crate::visibility::{MethodStages, StageVisibility, VisibilityError};
 use manyview_shaders::device::DeviceError;
@@ -19,12 +19,14 @@ const STAGES: MethodStages = MethodStages {
     rays_per_dispatch: RAYS_PER_DISPATCH,
 };
 
-/// Segment tests on the GPU against a scene that is there, or still arriving.
+/// Segment tests on the GPU against a scene that is there, or still arriving. `context` is of the scene's device:
+/// [`GpuScene::context`], or the caller's own.
 pub fn on_gpu<'a>(
-    scene: &'a GpuScene,
+    context: &'a GpuContext,
+    scene: &GpuScene,
     settings: &TestSettings,
 ) -> Result<StageVisibility<'a>, VisibilityError> {
-    let mut executor = WgpuExecutor::new(scene.context(), ExecutorLimits::DEFAULT);
+    let mut executor = WgpuExecutor::new(context, ExecutorLimits::DEFAULT);
     let tiles = executor.share_buffer(scene.tile_table());
     let rows = executor.share_rows(scene.rows_view());
     let tables =

@@ -6,8 +6,8 @@
 use super::scene::RenderScene;
 use crate::Archive;
 use crate::exact::ExactRays;
-use crate::gpu::{GpuContext, WgpuExecutor};
-use crate::rays::RowTester;
+use crate::gpu::{GpuContext, GpuScene, StreamOptions, WgpuExecutor};
+use crate::rays::{self, RowTester, TestSettings};
 use crate::rivals::brickmap::{self, BrickmapVisibility};
 use crate::rivals::bvh::BvhVisibility;
 use crate::rivals::ism::{IsmOptions, IsmVisibility};
@@ -18,13 +18,20 @@ use std::fmt;
 use std::str::FromStr;
 use thiserror::Error;
 
+/// The most GPU memory for the rows of an archive; where they do not fit, fewer directions are kept.
+const GPU_BUDGET_BYTES: u64 = 4 << 30;
+
 /// A method of testing segments.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub enum Method {
     /// Exact rays over the triangles, on the CPU: the judge of the others.
     RayTrace,
-    /// Rows of the archive, on the CPU.
+    /// Rows of the archive, on the CPU: the most exact test.
     Rows,
+    /// The same, one row a segment.
+    RowsFast,
+    /// Rows of the archive on a GPU.
+    WgslRows,
     /// A compressed wide BVH over the triangles in `f32`, on the CPU.
     Bvh,
     /// The same BVH on a GPU.
@@ -62,6 +69,8 @@ impl Method {
     const NAMES: &[(Self, &'static str)] = &[
         (Self::RayTrace, "raytrace"),
         (Self::Rows, "rows"),
+        (Self::RowsFast, "rows-fast"),
+        (Self::WgslRows, "wgsl-rows"),
         (Self::Bvh, "bvh"),
         (Self::WgslBvh, "wgsl-bvh"),
         (Self::Brickmap, "brickmap"),
@@ -75,12 +84,12 @@ impl Method {
 
     /// Whether it reads an archive.
     pub fn needs_archive(self) -> bool {
-        matches!(self, Self::Rows | Self::Brickmap)
+        matches!(self, Self::Rows | Self::RowsFast | Self::WgslRows | Self::Brickmap)
     }
 
     /// Whether it runs on a GPU alone, be it a software one.
     pub fn needs_gpu(self) -> bool {
-        matches!(self, Self::WgslBvh)
+        matches!(self, Self::WgslBvh | Self::WgslRows)
     }
 }
 
@@ -121,6 +130,14 @@ fn make<'a>(method: Method, ingredients: &Ingredients<'a>) -> Result<Box<dyn Vis
     Ok(match method {
         Method::RayTrace => Box::new(ingredients.exact),
         Method::Rows => Box::new(RowTester::load(archive()?)?),
+        Method::RowsFast => Box::new(RowTester::load(archive()?)?.with_settings(TestSettings::FAST)),
+        Method::WgslRows => {
+            let context = ingredients.gpu.ok_or("it runs on a GPU; use rows without one")?;
+            let options = StreamOptions::new(GPU_BUDGET_BYTES).with_octree_bytes(0);
+            let scene = GpuScene::stream(context.device(), context.queue(), archive()?, options)?;
+            scene.finish()?;
+            Box::new(rays::on_gpu(context, &scene, &TestSettings::default())?)
+        }
         Method::Bvh => Box::new(BvhVisibility::new(reference)),
         Method::WgslBvh => {
             let context = ingredients.gpu.ok_or("it runs on a GPU; use bvh without one")?;

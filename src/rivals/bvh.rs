@@ -1,4 +1,4 @@
-//! `bvh`: ray tracing on the CPU as one would do it today, and `exact`: the judge as a method.
+//! `bvh`: ray tracing on the CPU as one would do it today.
 //!
 //! # Practice
 //! [`BvhVisibility`] is what throughput is compared with. It uses the `obvhs` crate as its documentation recommends for
@@ -7,7 +7,7 @@
 //! Receivers are spread over all threads, lights are the inner loop. Alpha-masked triangles that are hit look their
 //! texel up.
 //!
-//! [`ExactVisibility`] asks [`Reference`], in `f64`: slower, and right.
+//! The judge is another: [`ExactRays`](crate::exact::ExactRays).
 
 use super::parallel;
 use crate::reference::{Reference, fixed_point, tree_ray};
@@ -31,8 +31,6 @@ pub const BUILD: BvhBuildParams = BvhBuildParams { pre_split: false, ..BvhBuildP
 /// How far origins on a surface are lifted along their normal, as a share of the scene's half diagonal: some hundred
 /// times what rounding to `f32` moves them.
 const LIFT_SHARE: f64 = 1e-5;
-/// The same for `f64`, where only the origins' own rounding counts.
-const EXACT_LIFT_SHARE: f64 = 1e-6;
 
 /// A tree over a scene's triangles in `f32`, relative to the scene's centre.
 pub(super) struct Tree {
@@ -152,62 +150,6 @@ impl Visibility for BvhVisibility<'_> {
 
     fn distances(&self, segments: &[Segment], distances: &mut [f32]) -> Result<(), VisibilityError> {
         parallel::distances(segments, distances, |segment| self.distance(segment));
-        Ok(())
-    }
-
-    fn hidden_lights(
-        &self,
-        receivers: &[Receiver],
-        lights: &[LightPoint],
-        hidden: &mut [u32],
-    ) -> Result<(), VisibilityError> {
-        parallel::hidden_lights(receivers, lights, hidden, |segment| self.is_occluded(segment));
-        Ok(())
-    }
-}
-
-/// The judge as a method. Origins on a surface are lifted by a millionth of the scene's half diagonal.
-pub struct ExactVisibility<'a> {
-    reference: &'a Reference<'a>,
-    lift: f64,
-}
-
-impl<'a> ExactVisibility<'a> {
-    /// Asks `reference`.
-    pub fn new(reference: &'a Reference<'a>) -> Self {
-        let corners = reference.triangles().as_flattened().iter();
-        let half_diagonal = corners.map(|&p| (p - reference.center()).length()).fold(0.0, f64::max);
-        Self { reference, lift: half_diagonal * EXACT_LIFT_SHARE }
-    }
-
-    fn ends(&self, segment: &Segment) -> [DVec3; 2] {
-        let [origin, target, normal] =
-            [segment.origin, segment.target, segment.normal].map(|v| Vec3A::from_array(v).as_dvec3());
-        [origin + normal * self.lift, target]
-    }
-
-    fn is_occluded(&self, segment: &Segment) -> bool {
-        let [origin, target] = self.ends(segment);
-        self.reference.is_occluded(origin, target)
-    }
-}
-
-impl Visibility for ExactVisibility<'_> {
-    fn name(&self) -> &'static str {
-        "exact"
-    }
-
-    fn occluded(&self, segments: &[Segment], occluded: &mut [u8]) -> Result<(), VisibilityError> {
-        parallel::occluded(segments, occluded, |segment| self.is_occluded(segment));
-        Ok(())
-    }
-
-    fn distances(&self, segments: &[Segment], distances: &mut [f32]) -> Result<(), VisibilityError> {
-        parallel::distances(segments, distances, |segment| {
-            let [origin, target] = self.ends(segment);
-            let hit = self.reference.intersect(origin, target - origin, 1.0)?;
-            Some((hit.t * (target - origin).length()) as f32)
-        });
         Ok(())
     }
 

@@ -3,10 +3,11 @@
 use glam::{DMat4, DVec3, Vec3};
 use libtest_mimic::Failed;
 use manyview::Archive;
+use manyview::exact::ExactRays;
 use manyview::gpu::{GpuContext, WgpuExecutor};
 use manyview::reference::Reference;
 use manyview::rivals::brickmap::{self, BrickmapVisibility};
-use manyview::rivals::bvh::{BvhVisibility, ExactVisibility};
+use manyview::rivals::bvh::BvhVisibility;
 use manyview::rivals::wide_bvh::WideBvh;
 use manyview::visibility::{Segment, Visibility};
 use manyview_pipeline::bake::{BakeOptions, bake_in_memory};
@@ -72,7 +73,7 @@ pub(crate) fn methods<'a>(place: &'a Place, reference: &'a Reference<'a>) -> Res
     let map = brickmap::from_svo(&place.svo, u32::MAX, brickmap::DEFAULT_BIAS);
     Ok([
         vec![
-            Box::new(ExactVisibility::new(reference)),
+            Box::new(ExactRays::new(reference)),
             Box::new(BvhVisibility::new(reference)),
             Box::new(WideBvh::new(reference).on_executor(twins()?)?),
         ],

@@ -4,8 +4,8 @@ use crate::answers::{box_quads, plane};
 use crate::place::*;
 use glam::DVec3;
 use libtest_mimic::Failed;
+use manyview::exact::ExactRays;
 use manyview::rivals::brickmap::{self, BrickmapBias};
-use manyview::rivals::bvh::ExactVisibility;
 use manyview::rivals::ism::{IsmOptions, IsmVisibility};
 use manyview::rivals::wide_bvh::WideBvh;
 use manyview::visibility::{LightPoint, Receiver, Segment, Visibility, VisibilityError, light_words};
@@ -83,7 +83,7 @@ pub(crate) fn imperfect_shadow_maps_are_not_far_off() -> Result<(), Failed> {
         .collect();
     let words = light_words(lights.len());
     let mut exact = vec![0; receivers.len() * words];
-    ExactVisibility::new(&reference).hidden_lights(&receivers, &lights, &mut exact)?;
+    ExactRays::new(&reference).hidden_lights(&receivers, &lights, &mut exact)?;
     let share = |bits: &[u32]| {
         f64::from(bits.iter().map(|w| w.count_ones()).sum::<u32>()) / (receivers.len() * lights.len()) as f64
     };

@@ -1,11 +1,10 @@
 //! The methods that tables compare.
 
-use super::subject::Subject;
+use super::subject::{Subject, bake_rows};
 use crate::bench::{BenchError, BenchScene};
-use crate::gpu::{GpuContext, WgpuExecutor};
-use crate::plain_rows::PlainRows;
-use crate::rays::paper::OriginBias;
-use crate::rays::{RowTester, TestSettings};
+use crate::gpu::{GpuContext, GpuScene, StreamOptions, WgpuExecutor};
+use crate::rays::paper::PaperRows;
+use crate::rays::{self, RowTester, TestSettings};
 use crate::rivals::brickmap::{self, BrickmapVisibility};
 use crate::rivals::bvh::BvhVisibility;
 use crate::rivals::ism::{IsmOptions, IsmVisibility};
@@ -54,7 +53,7 @@ pub trait MethodSource: Sync {
 /// | `brickmap` | marching through the octree's cells |
 /// | `ism` | imperfect shadow maps |
 /// | `bvh` | ray tracing with a compressed wide BVH |
-/// | `wgsl-brickmap`, `wgsl-bvh` | these two on a GPU, if there is one |
+/// | `wgsl-rows`, `wgsl-rows-fast`, `wgsl-brickmap`, `wgsl-bvh` | the same on a GPU, if there is one |
 #[derive(Debug, Default)]
 pub struct OurMethods {
     /// Where methods on a GPU run.
@@ -62,10 +61,12 @@ pub struct OurMethods {
 }
 
 impl OurMethods {
+    fn context(&self) -> Result<&GpuContext, DeviceError> {
+        self.gpu.as_ref().ok_or_else(|| DeviceError::Failed("there is no GPU to run it on".to_owned()))
+    }
+
     fn executor(&self) -> Result<Box<WgpuExecutor<'_>>, DeviceError> {
-        let none = || DeviceError::Failed("there is no GPU to run it on".to_owned());
-        let context = self.gpu.as_ref().ok_or_else(none)?;
-        Ok(Box::new(WgpuExecutor::new(context, ExecutorLimits::DEFAULT)))
+        Ok(Box::new(WgpuExecutor::new(self.context()?, ExecutorLimits::DEFAULT)))
     }
 }
 
@@ -73,7 +74,7 @@ impl MethodSource for OurMethods {
     fn names(&self) -> Vec<&'static str> {
         let mut names = vec!["rows", "rows-fast", "rows-paper", "brickmap", "ism", "bvh"];
         if self.gpu.is_some() {
-            names.extend(["wgsl-brickmap", "wgsl-bvh"]);
+            names.extend(["wgsl-rows", "wgsl-rows-fast", "wgsl-brickmap", "wgsl-bvh"]);
         }
         names
     }
@@ -98,9 +99,21 @@ impl MethodSource for OurMethods {
                 let rows = RowsOptions { fit: Fit::Cube, ..rows };
                 let (frames, words) = rows_of(subject.scene, rows);
                 let RowsOptions { directions, bits, .. } = rows;
-                let bias = OriginBias::default();
-                let paper = PlainRows::new(directions, subject.scene.lattice, bits, frames, words, bias);
+                let lattice = subject.scene.lattice;
+                let paper = PaperRows::new(directions, lattice, bits, Arc::new(frames), Arc::new(words));
                 (Box::new(paper), rows_bytes(&rows))
+            }
+            "wgsl-rows" | "wgsl-rows-fast" => {
+                let settings = if name == "wgsl-rows" { TestSettings::EXACT } else { TestSettings::FAST };
+                let context = self.context().map_err(failed)?;
+                let archive = bake_rows(subject.scene, rows)?;
+                let options = StreamOptions::new(u64::MAX).with_octree_bytes(0);
+                let scene = GpuScene::stream(context.device(), context.queue(), &archive, options)
+                    .map_err(|error| failed(DeviceError::Failed(error.to_string())))?;
+                scene.finish().map_err(|error| failed(DeviceError::Failed(error.to_string())))?;
+                let made = rays::on_gpu(context, &scene, &settings)
+                    .map_err(|source| BenchError::Method { method: name.to_owned(), source })?;
+                (Box::new(made), scene.gpu_bytes())
             }
             "brickmap" => {
                 let map = brickmap_of(subject)?;

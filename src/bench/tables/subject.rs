@@ -9,6 +9,7 @@ use crate::visibility::{LightPoint, Receiver};
 use glam::DVec3;
 use manyview_cache::archive::ArchiveWriter;
 use manyview_pipeline::bake::{BakeOptions, Silent, bake};
+use manyview_pipeline::rows::RowsOptions;
 use rayon::prelude::*;
 
 /// A scene with its judge, a view of it and an archive of its octree.
@@ -76,10 +77,18 @@ impl<'a> Subject<'a> {
 
 /// A scene's octree, without rows.
 fn bake_octree(scene: &BenchScene, levels: u32) -> Result<Archive, BenchError> {
+    bake_in_memory(scene, &BakeOptions { levels, rows: None, ..BakeOptions::default() })
+}
+
+/// An archive with these rows, and the least octree there is.
+pub(super) fn bake_rows(scene: &BenchScene, rows: RowsOptions) -> Result<Archive, BenchError> {
+    bake_in_memory(scene, &BakeOptions { levels: 4, rows: Some(rows), ..BakeOptions::default() })
+}
+
+fn bake_in_memory(scene: &BenchScene, options: &BakeOptions) -> Result<Archive, BenchError> {
     let refuse = |source| BenchError::Scene { scene: scene.name.clone(), source };
-    let options = BakeOptions { levels, rows: None, ..BakeOptions::default() };
     let mut writer = ArchiveWriter::in_memory().map_err(|error| refuse(error.into()))?;
-    bake(&scene.scene, &options, None, &mut writer, &Silent).map_err(refuse)?;
+    bake(&scene.scene, options, None, &mut writer, &Silent).map_err(refuse)?;
     let (bytes, _) = writer.finish().map_err(|error| refuse(error.into()))?;
     Archive::from_bytes(bytes)
         .map_err(|error| BenchError::Load { scene: scene.name.clone(), source: Box::new(error) })
