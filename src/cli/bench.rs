@@ -43,9 +43,10 @@ pub(crate) struct Args {
     #[arg(long, value_name = "N", default_value_t = 1024, value_parser = clap::value_parser!(u32).range(1..=1 << 20))]
     lights: u32,
     /// The paper's tables: pixels of the picture whose surface points are lit
-    #[arg(long, value_name = "WIDTHxHEIGHT", default_value = "160x90", value_parser = parse_size)]
+    #[arg(long, value_name = "WIDTHxHEIGHT", default_value = "1920x1080", value_parser = parse_size)]
     size: [u32; 2],
-    /// The paper's tables: receivers are thinned out until there are no more pairs with lights than this, in millions
+    /// The paper's tables: pieces of the picture are left out until there are no more pairs of receivers and lights than
+    /// this, in millions
     #[arg(long, value_name = "N", default_value_t = 20, value_parser = clap::value_parser!(u64).range(1..=1 << 20))]
     million_pairs: u64,
     /// The paper's tables: how often each method is timed; the shortest time counts

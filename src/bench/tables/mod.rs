@@ -56,7 +56,7 @@ impl Default for TableSettings {
     /// 160 × 90 pixels, 1,024 lights, seed 1, at most 20 million pairs, the best of three times, 9 levels, all methods.
     fn default() -> Self {
         Self {
-            size: [160, 90],
+            size: [1920, 1080],
             lights: 1024,
             seed: 1,
             most_pairs: 20_000_000,
