@@ -1,10 +1,11 @@
 //! Numbers that Rust and WGSL share, written once: [`wgsl`] emits them as `const` lines.
 
 use crate::brickmap::{BRICKMAP_EMPTY, MIN_COSINE, MIN_DIRECTION};
+use crate::direction_table::TABLE_SIDE;
 use crate::directions::{ROW_LATTICE, ROW_RAW_BITS};
 use crate::masks::{UNMASKED, WrapCode};
 use crate::raster::BARYCENTRIC_ONE;
-use crate::row_test::{LONGEST, MAX_HALVINGS, NEAR_STEPS, NORMAL_DROP, SHORTEST, TABLE_SIDE, TEST_RAW_BITS};
+use crate::row_test::{LONGEST, MAX_HALVINGS, NEAR_STEPS, NORMAL_DROP, SHORTEST, TEST_RAW_BITS};
 use crate::testable::{MAX_NORMAL, MIN_LENGTH_SQUARED};
 use crate::wide_bvh::BVH_STACK;
 

@@ -4,6 +4,7 @@ pub mod cases;
 pub mod constants;
 pub mod cpu_device;
 pub mod device;
+pub mod direction_table;
 pub mod directions;
 pub mod executor;
 pub mod jobs;

@@ -1,10 +1,11 @@
 //! The segment test over what shaders are given: a table, tiles, frames and the rows texture.
 
+use crate::direction_table::table_cell;
 use crate::executor::CpuBinding;
 use crate::row_bits::DirectionBits;
 use crate::row_test::{
     LatticeSegment, NEAR_STEPS, PackedFrame, RowPlan, RowTestParams, TEST_RAW_BITS, all_within,
-    cut_far_segment, cut_segment, plan_any, table_cell,
+    cut_far_segment, cut_segment, plan_any,
 };
 use crate::rows_texture::RowsImage;
 use crate::types::Segment;

@@ -4,46 +4,21 @@
 //! are compiled three times, for AVX-512, AVX2 and whatever the target has, and chosen at run time. There is no other
 //! arithmetic than that of [`manyview_shaders::row_test`], so that all three give the same answers.
 
+use manyview_shaders::direction_table::table_cell;
 use manyview_shaders::row_bits::{DirectionBits, row_mask, row_of_128};
 use manyview_shaders::row_test::{
     LatticeSegment, NEAR_STEPS, RowPart, RowTestParams, TestFrame, all_within, cut_far_segment, cut_segment,
-    plan_any, plan_rows, table_cell, whole,
+    plan_any, plan_rows, whole,
 };
 use manyview_shaders::row_view::first_share;
 use manyview_shaders::testable::{MAX_NORMAL, MIN_LENGTH_SQUARED, testable};
 use manyview_shaders::types::{LightPoint, Receiver, Segment};
 
+use super::simd::{SimdLevel, dispatched};
+
 /// Segments that are tested together.
 pub(super) const LANES: usize = 16;
 type Lanes<T> = [T; LANES];
-
-/// Vector instructions that the CPU has.
-#[derive(Debug, Clone, Copy, PartialEq, Eq, PartialOrd, Ord)]
-pub enum SimdLevel {
-    /// What the compiler was told that every machine has.
-    Portable,
-    /// AVX2.
-    Avx2,
-    /// AVX-512 with its doubleword, byte and conflict detection parts.
-    Avx512,
-}
-
-impl SimdLevel {
-    /// The best that this machine has.
-    pub fn detect() -> Self {
-        #[cfg(target_arch = "x86_64")]
-        {
-            use std::arch::is_x86_feature_detected as has;
-            if has!("avx512f") && has!("avx512bw") && has!("avx512dq") && has!("avx512vl") {
-                return Self::Avx512;
-            }
-            if has!("avx2") && has!("bmi2") {
-                return Self::Avx2;
-            }
-        }
-        Self::Portable
-    }
-}
 
 /// What tests need, borrowed for a call.
 #[derive(Clone, Copy)]
@@ -485,37 +460,6 @@ fn cells_of(segments: &[Segment], cells: &mut [u32]) {
         let way = [0, 1, 2].map(|i| segment.target[i] - segment.origin[i]);
         *cell = table_cell(way);
     }
-}
-
-/// Compiles a function for each [`SimdLevel`] and chooses at run time.
-macro_rules! dispatched {
-    ($(#[$doc:meta])* $name:ident = $body:ident($($arg:ident: $type:ty),* $(,)?)) => {
-        $(#[$doc])*
-        pub(super) fn $name(level: SimdLevel, $($arg: $type),*) {
-            #[cfg(target_arch = "x86_64")]
-            {
-                #[target_feature(enable = "avx512f,avx512bw,avx512dq,avx512vl")]
-                fn with_avx512($($arg: $type),*) {
-                    $body($($arg),*);
-                }
-                #[target_feature(enable = "avx2,bmi2")]
-                fn with_avx2($($arg: $type),*) {
-                    $body($($arg),*);
-                }
-                match level.min(SimdLevel::detect()) {
-                    #[allow(unsafe_code, reason = "calling a function compiled for AVX-512")]
-                    // SAFETY: `detect` found these features. Tested: `all_levels_agree`.
-                    SimdLevel::Avx512 => return unsafe { with_avx512($($arg),*) },
-                    #[allow(unsafe_code, reason = "calling a function compiled for AVX2")]
-                    // SAFETY: `detect` found these features. Tested: `all_levels_agree`.
-                    SimdLevel::Avx2 => return unsafe { with_avx2($($arg),*) },
-                    SimdLevel::Portable => {}
-                }
-            }
-            _ = level;
-            $body($($arg),*);
-        }
-    };
 }
 
 dispatched! {

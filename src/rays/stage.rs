@@ -3,9 +3,10 @@ use crate::gpu::{GpuContext, GpuScene, WgpuExecutor};
 use crate::scene_cpu::CpuScene;
 use crate::visibility::{MethodStages, StageVisibility, VisibilityError};
 use manyview_shaders::device::DeviceError;
+use manyview_shaders::direction_table::{DirectionTable, packed_cells};
 use manyview_shaders::directions::{DirectionFrame, DirectionSet, RowLattice};
 use manyview_shaders::executor::{Binding, CpuExecutor, Executor, ExecutorLimits, Recording};
-use manyview_shaders::row_test::{DirectionTable, PackedFrame, RowTestParams, TestFrame, packed_cells};
+use manyview_shaders::row_test::{PackedFrame, RowTestParams, TestFrame};
 use manyview_shaders::rows_texture::RowsTexture;
 use manyview_shaders::stages;
 

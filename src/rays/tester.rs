@@ -1,10 +1,12 @@
-use super::kernel::{self, LANES, SimdLevel, View};
+use super::kernel::{self, LANES, View};
+use super::simd::SimdLevel;
 use super::{Rows, TestSettings};
 use crate::archive::{Archive, LoadError};
 use crate::scene_cpu::CpuScene;
 use crate::visibility::{LightPoint, Receiver, Segment, Visibility, VisibilityError, light_words};
+use manyview_shaders::direction_table::DirectionTable;
 use manyview_shaders::directions::{DirectionFrame, DirectionSet, RowLattice};
-use manyview_shaders::row_test::{DirectionTable, RowTestParams, TestFrame};
+use manyview_shaders::row_test::{RowTestParams, TestFrame};
 use rayon::prelude::*;
 use std::sync::Arc;
 

@@ -2,8 +2,8 @@ use super::*;
 use crate::bench::Random;
 use crate::visibility::{LightPoint, Receiver, Segment, Visibility, light_words};
 use glam::{DVec3, Vec3};
+use manyview_shaders::direction_table::{DirectionTable, TABLE_SIDE, table_cell};
 use manyview_shaders::directions::{DirectionFrame, DirectionSet, Fit, RowLattice};
-use manyview_shaders::row_test::{DirectionTable, TABLE_SIDE, table_cell};
 use std::sync::Arc;
 
 const LATTICE: RowLattice = RowLattice { center: [5.0, -2.0, 0.5], half_extent: [16.0, 4.0, 10.0] };
