@@ -6,20 +6,20 @@ use std::str::FromStr;
 use std::time::Instant;
 
 use clap::ValueEnum;
-use manyview::Archive;
 use manyview::bench::SceneSource;
 use manyview::exact::ExactRays;
-use manyview::gpu::{AdapterChoice, GpuContext};
+use manyview::gpu::{AdapterChoice, GpuContext, StreamError};
 use manyview::npy;
 use manyview::preview::{Camera, CameraChoice, PictureFormat, write_picture};
 use manyview::render::gbuffer::{GBuffer, MAX_PIXELS, MAX_SIDE};
 use manyview::render::glow::glow;
 use manyview::render::image::{Exposure, LitImage, Provenance, RenderError, picture, render};
 use manyview::render::lights::{DEFAULT_LIGHTS, LightSource, MAX_LIGHTS};
-use manyview::render::methods::{Ingredients, Method, visibility};
+use manyview::render::methods::{Ingredients, Method, MethodError, visibility};
 use manyview::render::raster;
 use manyview::render::scene::{RenderScene, SceneError};
 use manyview::visibility::{Visibility, light_words};
+use manyview::{Archive, LoadError};
 use manyview_cache::atomic::AtomicFile;
 use manyview_pipeline::bake::{BakeOptions, Progress as _, bake_in_memory};
 use manyview_pipeline::generate::generate;
@@ -158,8 +158,7 @@ fn draw(options: &Options, formats: &[PictureFormat], progress: &Progress) -> Cl
     let gpu = open_gpu(options.backend, options.visibility)?;
     let ingredients =
         Ingredients { scene: &scene, exact: &exact, archive: archive.as_ref(), gpu: gpu.as_ref() };
-    let method =
-        visibility(options.visibility, &ingredients).map_err(|error| CliError::new(Exit::BadInput, error))?;
+    let method = visibility(options.visibility, &ingredients).map_err(method_error)?;
     let [width, height] = options.size.0;
     announce(options, &lights);
 
@@ -488,4 +487,19 @@ impl BitsFile {
     fn failed(&self, error: &std::io::Error) -> CliError {
         CliError::bad_input(format!("{}: cannot write the light bits: {error}", self.path.display()))
     }
+}
+/// What is wrong with an archive keeps its own exit code.
+fn method_error(error: MethodError) -> CliError {
+    let load = error.source.downcast_ref::<LoadError>().or_else(|| {
+        match error.source.downcast_ref::<StreamError>() {
+            Some(StreamError::Load(load)) => Some(load),
+            _ => None,
+        }
+    });
+    let exit = match load {
+        Some(load) if load.is_corruption() => Exit::Corrupt,
+        Some(load) if load.is_over_budget() => Exit::OverBudget,
+        _ => Exit::BadInput,
+    };
+    CliError::new(exit, error)
 }
