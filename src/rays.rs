@@ -5,7 +5,7 @@
 //! [`manyview_shaders::row_test`]; the same text runs on GPUs (`lib_rows.wgsl`) and gives the same answers.
 //!
 //! # Practice
-//! [`RowTester`] holds the rows and is a [`Visibility`]. Lights are tested for 16 neighbouring receivers at a time
+//! [`RowTester`] holds the rows and is a [`Visibility`](crate::visibility::Visibility). Lights are tested for 16 neighbouring receivers at a time
 //! (`kernel`): most of them see a light in the same sampled direction, so that its frame is loaded once and all
 //! arithmetic is done in vectors. Blocks of 32 lights over 16 receivers keep the touched rows in the first-level cache.
 //! Batches of segments are brought into the order of their directions first.
