@@ -25,8 +25,8 @@ pub struct Subject<'a> {
     bounds: [DVec3; 2],
 }
 
-/// Neighbouring receivers that are kept together.
-const PIECE_RECEIVERS: usize = 1024;
+/// Neighbouring receivers that are kept together: most squares are whole ones.
+const PIECE_RECEIVERS: usize = (SQUARE * SQUARE) as usize;
 /// Pixels a side of the squares that receivers are listed in.
 const SQUARE: u32 = 8;
 
