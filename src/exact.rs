@@ -1,10 +1,8 @@
 //! Exact rays as a method among others.
 
 use crate::reference::Reference;
-use crate::visibility::{LightPoint, Receiver, Segment, Visibility, VisibilityError, light_words};
+use crate::visibility::{LightPoint, Receiver, Segment, Visibility, VisibilityError, parallel};
 use glam::DVec3;
-use manyview_shaders::testable::testable;
-use rayon::prelude::*;
 use std::borrow::Borrow;
 use std::marker::PhantomData;
 
@@ -47,11 +45,10 @@ impl<'a, R: Borrow<Reference<'a>>> ExactRays<'a, R> {
         self.reference.borrow()
     }
 
-    /// Both ends in `f64`, the origin lifted; `None` where the segment hits nothing by definition or is elsewhere. Ends
+    /// Both ends of a testable segment in `f64`, the origin lifted; `None` where it passes the scene by. Ends
     /// outside are brought to the scene's bounds, since the BVH's `f32` cannot tell far ones apart; the number is how
     /// far the origin has come, metres.
     fn ends(&self, segment: &Segment) -> Option<([DVec3; 2], f64)> {
-        let segment = testable(segment)?;
         let [origin, target, normal] =
             [segment.origin, segment.target, segment.normal].map(|v| DVec3::from_array(v.map(f64::from)));
         let origin = origin + normal.normalize_or_zero() * self.lift_metres;
@@ -72,35 +69,22 @@ impl<'a, R: Borrow<Reference<'a>>> ExactRays<'a, R> {
     }
 }
 
-/// Segments that one thread tests at a time.
-const PIECE: usize = 256;
-
 impl<'a, R: Borrow<Reference<'a>> + Sync> Visibility for ExactRays<'a, R> {
     fn name(&self) -> &'static str {
         "exact"
     }
 
     fn occluded(&self, segments: &[Segment], occluded: &mut [u8]) -> Result<(), VisibilityError> {
-        assert_eq!(segments.len(), occluded.len(), "one answer for each segment");
-        segments.par_chunks(PIECE).zip(occluded.par_chunks_mut(PIECE)).for_each(|(segments, occluded)| {
-            for (segment, occluded) in segments.iter().zip(occluded) {
-                *occluded = u8::from(self.is_occluded(segment));
-            }
-        });
+        parallel::occluded(segments, occluded, |segment| self.is_occluded(segment));
         Ok(())
     }
 
     fn distances(&self, segments: &[Segment], distances: &mut [f32]) -> Result<(), VisibilityError> {
-        assert_eq!(segments.len(), distances.len(), "one answer for each segment");
-        segments.par_chunks(PIECE).zip(distances.par_chunks_mut(PIECE)).for_each(|(segments, distances)| {
-            for (segment, distance) in segments.iter().zip(distances) {
-                let hit = self.ends(segment).and_then(|([origin, target], before)| {
-                    let direction = (target - origin).normalize_or_zero();
-                    let hit = self.reference().intersect(origin, direction, (target - origin).length())?;
-                    Some(before + hit.t)
-                });
-                *distance = hit.map_or(f32::INFINITY, |metres| metres as f32);
-            }
+        parallel::distances(segments, distances, |segment| {
+            let ([origin, target], before) = self.ends(segment)?;
+            let direction = (target - origin).normalize_or_zero();
+            let hit = self.reference().intersect(origin, direction, (target - origin).length())?;
+            Some((before + hit.t) as f32)
         });
         Ok(())
     }
@@ -111,15 +95,7 @@ impl<'a, R: Borrow<Reference<'a>> + Sync> Visibility for ExactRays<'a, R> {
         lights: &[LightPoint],
         hidden: &mut [u32],
     ) -> Result<(), VisibilityError> {
-        let words = light_words(lights.len());
-        assert_eq!(hidden.len(), receivers.len() * words, "one bit for each receiver and light");
-        receivers.par_iter().zip(hidden.par_chunks_mut(words.max(1))).for_each(|(receiver, hidden)| {
-            hidden.fill(0);
-            for (index, light) in lights.iter().enumerate() {
-                let is_hidden = light.is_behind(receiver) || self.is_occluded(&light.segment_from(receiver));
-                hidden[index / 32] |= u32::from(is_hidden) << (index % 32);
-            }
-        });
+        parallel::hidden_lights(receivers, lights, hidden, |segment| self.is_occluded(segment));
         Ok(())
     }
 }

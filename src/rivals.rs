@@ -14,6 +14,5 @@ pub mod brickmap;
 pub mod bvh;
 #[cfg(feature = "bake")]
 pub mod ism;
-mod parallel;
 #[cfg(feature = "bake")]
 pub mod wide_bvh;

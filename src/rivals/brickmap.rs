@@ -1,6 +1,6 @@
 //! `brickmap`: marching through the octree's cells at a level ([`manyview_shaders::brickmap`]), on the CPU or the GPU.
 
-use super::parallel;
+use crate::visibility::parallel;
 use crate::visibility::{MethodStages, StageVisibility};
 use crate::visibility::{Visibility, VisibilityError};
 pub use manyview_shaders::brickmap::{Brickmap, BrickmapBias};

@@ -9,8 +9,8 @@
 //!
 //! The judge is another: [`ExactRays`](crate::exact::ExactRays).
 
-use super::parallel;
 use crate::reference::{Reference, fixed_point, tree_ray};
+use crate::visibility::parallel;
 use crate::visibility::{Visibility, VisibilityError};
 use glam::{DVec3, Vec3A};
 use manyview_pipeline::triangles::Cutouts;

@@ -4,6 +4,7 @@
 //! and tables take any of them: a batch of segments ([`Visibility::occluded`], [`Visibility::distances`]), and every
 //! pair of a receiver and a light ([`Visibility::hidden_lights`]).
 
+pub(crate) mod parallel;
 mod stage;
 
 use manyview_shaders::device::DeviceError;

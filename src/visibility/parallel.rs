@@ -11,7 +11,7 @@ const SEGMENTS: usize = 1024;
 const RECEIVERS: usize = 16;
 
 /// [`crate::visibility::Visibility::occluded`].
-pub(super) fn occluded(segments: &[Segment], occluded: &mut [u8], test: impl Fn(&Segment) -> bool + Sync) {
+pub(crate) fn occluded(segments: &[Segment], occluded: &mut [u8], test: impl Fn(&Segment) -> bool + Sync) {
     assert_eq!(segments.len(), occluded.len(), "one answer for each segment");
     segments.par_chunks(SEGMENTS).zip(occluded.par_chunks_mut(SEGMENTS)).for_each(|(segments, occluded)| {
         for (segment, occluded) in segments.iter().zip(occluded) {
@@ -21,7 +21,7 @@ pub(super) fn occluded(segments: &[Segment], occluded: &mut [u8], test: impl Fn(
 }
 
 /// [`crate::visibility::Visibility::distances`].
-pub(super) fn distances(
+pub(crate) fn distances(
     segments: &[Segment],
     distances: &mut [f32],
     intersect: impl Fn(&Segment) -> Option<f32> + Sync,
@@ -38,7 +38,7 @@ pub(super) fn distances(
 }
 
 /// [`crate::visibility::Visibility::hidden_lights`].
-pub(super) fn hidden_lights(
+pub(crate) fn hidden_lights(
     receivers: &[Receiver],
     lights: &[LightPoint],
     hidden: &mut [u32],
