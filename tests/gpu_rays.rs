@@ -5,41 +5,21 @@
 
 mod support;
 
-use std::sync::Arc;
-
-use libtest_mimic::{Arguments, Failed, Trial};
-use manyview::gpu::{AdapterChoice, GpuContext, GpuScene, StreamOptions};
+use libtest_mimic::Failed;
+use manyview::gpu::{GpuContext, GpuScene, StreamOptions};
 use manyview::rays::{RowTester, Rows, TestSettings, on_gpu, on_twins};
 use manyview::visibility::{LightPoint, Receiver, Segment, Visibility, light_words};
 use manyview::{Archive, CpuScene};
+use support::gpu::Check;
 use support::{Numbers, bake_rows};
 
-type Check = fn(&GpuContext) -> Result<(), Failed>;
-
 fn main() {
-    let arguments = Arguments::from_args();
-    let required = std::env::var("MANYVIEW_REQUIRE_GPU").is_ok_and(|value| value == "1");
-    let opened =
-        GpuContext::open(&AdapterChoice::from_env()).map(Arc::new).map_err(|error| error.to_string());
-    match &opened {
-        Ok(context) => eprintln!("adapter: {}", context.name()),
-        Err(error) => eprintln!("no adapter: {error}"),
-    }
     let checks: [(&str, Check); 3] = [
         ("segments_are_answered_alike", segments_are_answered_alike),
         ("lights_are_hidden_alike", lights_are_hidden_alike),
         ("a_scene_that_still_arrives_answers_by_its_nearest_directions", a_scene_still_arriving),
     ];
-    let trials = checks.map(|(name, check)| {
-        let ignored = opened.is_err() && !required;
-        let opened = opened.clone();
-        Trial::test(name, move || match opened {
-            Ok(context) => check(&context),
-            Err(reason) => Err(format!("MANYVIEW_REQUIRE_GPU is 1, but {reason}").into()),
-        })
-        .with_ignored_flag(ignored)
-    });
-    libtest_mimic::run(&arguments, Vec::from(trials)).exit();
+    support::gpu::run(checks)
 }
 
 fn ensure(holds: bool, what: impl FnOnce() -> String) -> Result<(), Failed> {

@@ -8,7 +8,7 @@ mod support;
 use std::sync::Arc;
 use std::time::{Duration, Instant};
 
-use libtest_mimic::{Arguments, Failed, Trial};
+use libtest_mimic::Failed;
 use manyview::gpu::{
     AdapterChoice, GpuContext, GpuScene, Progress, StreamError, StreamOptions, WgpuExecutor,
 };
@@ -18,19 +18,10 @@ use manyview_shaders::rows_texture::RowsTexture;
 use manyview_shaders::sections::name;
 use manyview_shaders::stages::{BindingKind, Kind, Stage};
 use manyview_shaders::svo_nodes::SvoNode;
+use support::gpu::Check;
 use support::{bake_rows, bake_town, corrupt_section};
 
-type Check = fn(&GpuContext) -> Result<(), Failed>;
-
 fn main() {
-    let arguments = Arguments::from_args();
-    let required = std::env::var("MANYVIEW_REQUIRE_GPU").is_ok_and(|value| value == "1");
-    let opened =
-        GpuContext::open(&AdapterChoice::from_env()).map(Arc::new).map_err(|error| error.to_string());
-    match &opened {
-        Ok(context) => eprintln!("adapter: {}", context.name()),
-        Err(error) => eprintln!("no adapter: {error}"),
-    }
     let checks: [(&str, Check); 13] = [
         ("the_device_has_webgpus_default_limits", the_device_has_webgpus_default_limits),
         ("the_texture_holds_the_archives_rows", the_texture_holds_the_archives_rows),
@@ -46,16 +37,7 @@ fn main() {
         ("a_device_destroyed_midway_is_an_error", |_| a_device_destroyed_midway_is_an_error()),
         ("stages_see_the_same_rows_on_both_executors", stages_see_the_same_rows_on_both_executors),
     ];
-    let trials = checks.map(|(name, check)| {
-        let ignored = opened.is_err() && !required;
-        let opened = opened.clone();
-        Trial::test(name, move || match opened {
-            Ok(context) => check(&context),
-            Err(reason) => Err(format!("MANYVIEW_REQUIRE_GPU is 1, but {reason}").into()),
-        })
-        .with_ignored_flag(ignored)
-    });
-    libtest_mimic::run(&arguments, Vec::from(trials)).exit();
+    support::gpu::run(checks)
 }
 
 fn ensure(holds: bool, what: impl FnOnce() -> String) -> Result<(), Failed> {
