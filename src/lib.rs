@@ -8,6 +8,8 @@ pub mod deform;
 pub mod exact;
 pub mod gpu;
 pub mod instances;
+pub mod manylods;
+pub mod megaviews;
 pub mod npy;
 pub mod preview;
 pub mod rays;
@@ -17,6 +19,7 @@ pub mod reference;
 pub mod render;
 pub mod rivals;
 pub mod scene_cpu;
+pub mod views;
 pub mod visibility;
 pub mod wgsl;
 

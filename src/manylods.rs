@@ -1,0 +1,1 @@
+//! ManyLoDs: many cuts through one hierarchy.

@@ -1,0 +1,1 @@
+//! MegaViews: a million views that share work.
