@@ -1,1 +1,3 @@
 //! MegaViews: a million views that share work.
+
+pub mod view_tree;

@@ -5,6 +5,7 @@
 //! ([`crate::manylods`]) and the exact `raycast`, so that commands, pictures and tables take any of them.
 
 mod maps;
+pub mod splat;
 
 pub use manyview_shaders::views::View;
 pub use maps::{Depths, ViewMaps};
