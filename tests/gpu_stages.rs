@@ -4,12 +4,14 @@
 //! `MANYVIEW_ADAPTER` chooses among adapters.
 
 use libtest_mimic::{Arguments, Failed, Measurement, Trial};
-use manyview::gpu::{AdapterChoice, GpuContext, GpuDevice};
+use manyview::gpu::{AdapterChoice, GpuContext, GpuDevice, WgpuExecutor};
 use manyview_shaders::cases::{Case, Geometry, Job, Random, cases, frames, long_loops, random_triangles};
 use manyview_shaders::cpu_device::CpuDevice;
 use manyview_shaders::device::{DeviceError, VoxelDevice};
-use manyview_shaders::executor::{Executor, ExecutorLimits, Recording};
+use manyview_shaders::executor::{CpuExecutor, Executor, ExecutorLimits, Recording};
 use manyview_shaders::raster::{Grid, VoxelBox};
+use manyview_shaders::stages;
+use manyview_shaders::types::PointParams;
 use std::sync::OnceLock;
 use std::time::{Duration, Instant};
 
@@ -39,7 +41,7 @@ fn main() {
         })
         .with_ignored_flag(!found && !required)
     };
-    let checks: [(&str, Check); 10] = [
+    let checks: [(&str, Check); 11] = [
         ("fragments_equal_the_cpus", |gpu| compare(gpu, &cases(), "fragments")),
         ("peeled_boxes_equal_the_cpus", |gpu| compare(gpu, &cases(), "peel")),
         ("rotated_points_equal_the_cpus", |gpu| compare(gpu, &cases(), "rotate_points")),
@@ -49,6 +51,7 @@ fn main() {
         ("small_buffers_change_nothing", small_buffers_change_nothing),
         ("peeling_gives_the_voxels_of_one_pass", peeling_gives_the_voxels_of_one_pass),
         ("buffers_beyond_the_limit_are_errors", buffers_beyond_the_limit_are_errors),
+        ("a_buffer_says_how_many_workgroups_run", a_buffer_says_how_many_workgroups_run),
         ("a_destroyed_device_is_an_error", |_| a_destroyed_device_is_an_error()),
     ];
     let mut trials = Vec::from(checks.map(trial));
@@ -197,7 +200,7 @@ fn buffers_beyond_the_limit_are_errors(gpu: &GpuDevice) -> Result<(), Failed> {
     }
     // The driver's own limit, past our checks.
     let limits = ExecutorLimits { binding_bytes: 1 << 40, depth_side: 1 << 20 };
-    let mut executor = manyview::gpu::WgpuExecutor::new(gpu.context(), limits);
+    let mut executor = WgpuExecutor::new(gpu.context(), limits);
     if executor.buffer("too much", 1 << 39).is_ok() || executor.depth_image([1 << 19, 4]).is_ok() {
         return Err("half a terabyte was allocated".into());
     }
@@ -208,6 +211,55 @@ fn buffers_beyond_the_limit_are_errors(gpu: &GpuDevice) -> Result<(), Failed> {
     recording.download(buffer, 4);
     if executor.run(&recording)? != [[1, 2, 3, 4]] {
         return Err("words did not come back".into());
+    }
+    Ok(())
+}
+
+/// A stage dispatched over workgroups that stand in a buffer does what it does over the same number given directly.
+fn a_buffer_says_how_many_workgroups_run(gpu: &GpuDevice) -> Result<(), Failed> {
+    let params = [PointParams { pairs: 40, grid_bits: 5, row_bits: 5, reserved: 0 }];
+    let frames = frames(3);
+    let mut random = Random::new(9);
+    let points: Vec<[i16; 3]> = (0..80).map(|_| [0; 3].map(|_| random.range(-16384, 16384) as i16)).collect();
+    // None, two directions, none again; then all three.
+    let workgroups = [7u32, 0, 1, 2, 1, 0, 1, 3, 1];
+    let run = |executor: &mut dyn Executor, indirect: bool| -> Result<Vec<Vec<u32>>, Failed> {
+        let stage = &stages::rotate_points;
+        let arguments = executor.buffer("workgroups", 36)?;
+        let head = executor.buffer("parameters", 16)?;
+        let frames_buffer = executor.buffer("frames", size_of_val(&*frames) as u64)?;
+        let points_buffer = executor.buffer("points", size_of_val(&*points) as u64)?;
+        let bits = executor.buffer("rows", 3 << 12)?;
+        let bindings = [head, frames_buffer, points_buffer, bits].map(Into::into);
+        let mut recording = Recording::new();
+        recording.upload(arguments, &workgroups);
+        recording.upload(head, &params);
+        recording.upload(frames_buffer, &frames);
+        recording.upload(points_buffer, &points);
+        recording.clear(bits);
+        for offset in [0, 2, 3, 6] {
+            match indirect {
+                true => recording.dispatch_indirect(stage, arguments, offset, &bindings),
+                false => {
+                    let counts = [0, 1, 2].map(|axis| workgroups[offset as usize + axis]);
+                    recording.dispatch(stage, counts, &bindings);
+                }
+            }
+            recording.download(bits, 3 << 10);
+        }
+        Ok(executor.run(&recording)?)
+    };
+    let expected = run(&mut CpuExecutor::default(), false)?;
+    let set = |bits: &[u32]| bits.iter().map(|word| word.count_ones()).sum::<u32>();
+    if expected.iter().map(|bits| set(bits)).is_sorted_by(|a, b| a < b) || set(&expected[3]) < 100 {
+        return Err("the case is too simple".into());
+    }
+    let mut executor = WgpuExecutor::new(gpu.context(), ExecutorLimits::DEFAULT);
+    if run(&mut CpuExecutor::default(), true)? != expected {
+        return Err("the twin differs".into());
+    }
+    if run(&mut executor, true)? != expected || run(&mut executor, false)? != expected {
+        return Err("the GPU differs".into());
     }
     Ok(())
 }

@@ -3,6 +3,7 @@
 //! Code that wants work done on a GPU allocates buffers on an [`Executor`], fills a [`Recording`] and runs it. It
 //! never sees a GPU API: [`CpuExecutor`] runs the twin of every stage, another executor the shaders.
 
+use crate::constants::MAX_WORKGROUPS;
 use crate::device::DeviceError;
 use crate::rows_texture::RowsImage;
 use crate::stages::{BindingKind, Kind, Stage};
@@ -75,6 +76,17 @@ pub enum Command<'a> {
         /// In the order of [`Stage::bindings`].
         bindings: Vec<Binding>,
     },
+    /// Runs a compute stage over as many workgroups as a buffer says.
+    DispatchIndirect {
+        /// Which.
+        stage: &'static Stage,
+        /// Holds the workgroups along x, y, z, each at most [`MAX_WORKGROUPS`]; the stage may read it, but not write to it.
+        arguments: BufferId,
+        /// Where in it, words.
+        offset_words: u32,
+        /// In the order of [`Stage::bindings`].
+        bindings: Vec<Binding>,
+    },
     /// Sets every pixel of a depth image.
     ClearDepth {
         /// Which.
@@ -132,6 +144,18 @@ impl<'a> Recording<'a> {
     /// Runs a compute stage.
     pub fn dispatch(&mut self, stage: &'static Stage, workgroups: [u32; 3], bindings: &[Binding]) {
         self.commands.push(Command::Dispatch { stage, workgroups, bindings: bindings.to_vec() });
+    }
+
+    /// Runs a compute stage over `[x, y, z]` workgroups that stand in `arguments` at `offset_words` when it is its turn.
+    pub fn dispatch_indirect(
+        &mut self,
+        stage: &'static Stage,
+        arguments: BufferId,
+        offset_words: u32,
+        bindings: &[Binding],
+    ) {
+        let bindings = bindings.to_vec();
+        self.commands.push(Command::DispatchIndirect { stage, arguments, offset_words, bindings });
     }
 
     /// Sets every pixel of a depth image.
@@ -372,6 +396,14 @@ pub fn check_bindings(stage: &Stage, bindings: &[Binding]) {
     }
 }
 
+/// Panics if a stage would write to the buffer that says how many workgroups of it run: a mistake in our own recordings.
+pub fn check_arguments(stage: &Stage, arguments: BufferId, bindings: &[Binding]) {
+    for (kind, binding) in stage.bindings.iter().zip(bindings) {
+        let writes = *kind == BindingKind::ReadWrite && *binding == Binding::Buffer(arguments);
+        assert!(!writes, "`{}` writes to its own number of workgroups", stage.name);
+    }
+}
+
 impl Executor for CpuExecutor {
     fn limits(&self) -> ExecutorLimits {
         self.limits
@@ -418,6 +450,21 @@ impl Executor for CpuExecutor {
                         panic!("`{}` cannot be dispatched", stage.name)
                     };
                     self.with_bindings(stage, bindings, |given| twin(*workgroups, given));
+                }
+                Command::DispatchIndirect { stage, arguments, offset_words, bindings } => {
+                    let Kind::Compute { twin, .. } = stage.kind else {
+                        panic!("`{}` cannot be dispatched", stage.name)
+                    };
+                    check_arguments(stage, *arguments, bindings);
+                    let words = self.shared.get(arguments).map(|shared| &shared[..]);
+                    let words = words.unwrap_or_else(|| &self.buffers[arguments]);
+                    let workgroups = [0, 1, 2].map(|axis| words[*offset_words as usize + axis]);
+                    assert!(
+                        workgroups.iter().all(|&count| count <= MAX_WORKGROUPS),
+                        "`{}` over {workgroups:?} workgroups",
+                        stage.name
+                    );
+                    self.with_bindings(stage, bindings, |given| twin(workgroups, given));
                 }
                 Command::ClearDepth { depth, value } => {
                     self.images.get_mut(depth).expect("a live image").depths.fill(*value);
@@ -483,6 +530,54 @@ mod tests {
         drop(executor);
         assert_eq!(Arc::strong_count(&rows), 1);
         assert_eq!(Arc::strong_count(&list), 1);
+    }
+
+    /// Adds the number of workgroups to a word.
+    fn count_twin(workgroups: [u32; 3], bindings: &mut [CpuBinding]) {
+        bindings[0].words_mut()[0] += workgroups.iter().product::<u32>();
+    }
+
+    static COUNT: Stage = Stage {
+        name: "count_workgroups",
+        bindings: &[BindingKind::ReadWrite],
+        kind: Kind::Compute { workgroup_size: [1; 3], twin: count_twin },
+        files: &[],
+    };
+
+    #[test]
+    fn a_buffer_says_how_many_workgroups_run() {
+        let mut executor = CpuExecutor::default();
+        let arguments = executor.buffer("workgroups", 24).unwrap();
+        let shared = executor.share_buffer(Arc::new(vec![5, 1, 1]));
+        let out = executor.buffer("a count", 4).unwrap();
+        let mut recording = Recording::new();
+        recording.upload(arguments, &[0u32, 9, 2, 3, 4, 0]);
+        for (buffer, offset_words) in [(arguments, 2), (arguments, 0), (arguments, 3), (shared, 0)] {
+            recording.dispatch_indirect(&COUNT, buffer, offset_words, &[out.into()]);
+        }
+        recording.download(out, 1);
+        assert_eq!(executor.run(&recording).unwrap(), [[2 * 3 * 4 + 5]]);
+    }
+
+    #[test]
+    #[should_panic(expected = "writes to its own number of workgroups")]
+    fn a_stage_does_not_write_how_often_it_runs() {
+        let mut executor = CpuExecutor::default();
+        let arguments = executor.buffer("workgroups", 12).unwrap();
+        let mut recording = Recording::new();
+        recording.dispatch_indirect(&COUNT, arguments, 0, &[arguments.into()]);
+        let _ = executor.run(&recording);
+    }
+
+    #[test]
+    #[should_panic(expected = "over [65536, 1, 1] workgroups")]
+    fn more_workgroups_than_webgpu_runs_are_noticed() {
+        let mut executor = CpuExecutor::default();
+        let (arguments, out) =
+            (executor.share_buffer(Arc::new(vec![65_536, 1, 1])), executor.buffer("", 4).unwrap());
+        let mut recording = Recording::new();
+        recording.dispatch_indirect(&COUNT, arguments, 0, &[out.into()]);
+        let _ = executor.run(&recording);
     }
 
     #[test]

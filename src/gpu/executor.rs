@@ -2,7 +2,8 @@ use super::GpuContext;
 use super::pipelines::{DEPTH_FORMAT, Runs};
 use manyview_shaders::device::DeviceError;
 use manyview_shaders::executor::{
-    Binding, BufferId, Command, DepthId, Executor, ExecutorLimits, Recording, RowsId, check_bindings,
+    Binding, BufferId, Command, DepthId, Executor, ExecutorLimits, Recording, RowsId, check_arguments,
+    check_bindings,
 };
 use manyview_shaders::stages::Stage;
 use std::collections::BTreeMap;
@@ -102,6 +103,24 @@ impl<'a> WgpuExecutor<'a> {
         })
     }
 
+    fn compute_pass(
+        &self,
+        encoding: &mut Encoding,
+        stage: &'static Stage,
+        bindings: &[Binding],
+        dispatch: impl FnOnce(&mut wgpu::ComputePass),
+    ) -> Result<(), DeviceError> {
+        let pipeline = self.context.pipelines.get(self.context, stage)?;
+        let Runs::Compute(compute) = &pipeline.runs else { panic!("`{}` cannot be dispatched", stage.name) };
+        let group = self.bind(stage, &pipeline.layout, bindings);
+        let descriptor = wgpu::ComputePassDescriptor { label: Some(stage.name), timestamp_writes: None };
+        let mut pass = encoding.encoder().begin_compute_pass(&descriptor);
+        pass.set_pipeline(compute);
+        pass.set_bind_group(0, &group, &[]);
+        dispatch(&mut pass);
+        Ok(())
+    }
+
     /// Encodes and submits; what is downloaded lies in `readback` afterwards.
     fn submit(
         &self,
@@ -126,18 +145,17 @@ impl<'a> WgpuExecutor<'a> {
                     encoding.encoder().clear_buffer(self.buffer_of(*buffer), 0, None);
                 }
                 Command::Dispatch { stage, workgroups, bindings } => {
-                    let pipeline = self.context.pipelines.get(self.context, stage)?;
-                    let Runs::Compute(compute) = &pipeline.runs else {
-                        panic!("`{}` cannot be dispatched", stage.name)
-                    };
-                    let group = self.bind(stage, &pipeline.layout, bindings);
-                    let descriptor =
-                        wgpu::ComputePassDescriptor { label: Some(stage.name), timestamp_writes: None };
-                    let mut pass = encoding.encoder().begin_compute_pass(&descriptor);
-                    pass.set_pipeline(compute);
-                    pass.set_bind_group(0, &group, &[]);
                     let [x, y, z] = *workgroups;
-                    pass.dispatch_workgroups(x, y, z);
+                    self.compute_pass(&mut encoding, stage, bindings, |pass| {
+                        pass.dispatch_workgroups(x, y, z);
+                    })?;
+                }
+                Command::DispatchIndirect { stage, arguments, offset_words, bindings } => {
+                    check_arguments(stage, *arguments, bindings);
+                    self.compute_pass(&mut encoding, stage, bindings, |pass| {
+                        let offset = 4 * u64::from(*offset_words);
+                        pass.dispatch_workgroups_indirect(self.buffer_of(*arguments), offset);
+                    })?;
                 }
                 Command::ClearDepth { depth, value } => encoding.pending_clear = Some((*depth, *value)),
                 Command::Draw { stage, counts, bindings, target } => {
@@ -269,6 +287,7 @@ impl Executor for WgpuExecutor<'_> {
                 size: bytes.max(MIN_BUFFER_BYTES).next_multiple_of(4),
                 usage: wgpu::BufferUsages::STORAGE
                     | wgpu::BufferUsages::UNIFORM
+                    | wgpu::BufferUsages::INDIRECT
                     | wgpu::BufferUsages::COPY_SRC
                     | wgpu::BufferUsages::COPY_DST,
                 mapped_at_creation: false,
