@@ -19,6 +19,7 @@ pub mod reference;
 pub mod render;
 pub mod rivals;
 pub mod scene_cpu;
+mod simd;
 pub mod views;
 pub mod visibility;
 pub mod wgsl;

@@ -13,11 +13,12 @@
 //! | §3.3 traversal | `traverse.rs` (CPU), tests in [`manyview_shaders::views`] |
 //! | §3.3 near geometry | [`crate::views::splat`] |
 //! | §3.4 fusion | [`crate::views::splat::TexelDirections::fuse`] |
-//! | §3.5 multi-pass | [`MegaViews`] |
+//! | §3.5 multi-pass | [`MegaViews`]: runs of the hierarchy's leaves |
 
 mod traverse;
 pub mod view_tree;
 
+use crate::simd::SimdLevel;
 use crate::views::splat::TexelDirections;
 use crate::views::{Depths, PassSink, View, ViewError, ViewMaps, ViewRenderer, ViewSettings};
 use half::f16;
@@ -29,28 +30,35 @@ use view_tree::{SortedViews, ViewTree};
 
 pub use view_tree::Sharing;
 
-/// Bytes that a view takes beside its map: key, order, its share of the hierarchy and of the scratch while it is built.
+/// Bytes that a view takes beside its map: key, order, its share of the hierarchy while that is built.
 const BYTES_PER_VIEW: u64 = 200;
-/// Fewest views of a pass that is not the only one, if the budget allows: smaller ones share too little.
-const FEWEST_VIEWS: u64 = 1;
+/// Levels of a view hierarchy for which every thread may have a map on its way down.
+const MAPS_PER_THREAD: u64 = 24;
 
 /// MegaViews on all threads of the CPU.
 #[derive(Debug, Clone)]
 pub struct MegaViews {
     scene: Arc<SceneTree>,
     sharing: Sharing,
+    simd: SimdLevel,
 }
 
 impl MegaViews {
     /// Draws a scene.
     pub fn new(scene: Arc<SceneTree>) -> Self {
-        Self { scene, sharing: Sharing::default() }
+        Self { scene, sharing: Sharing::default(), simd: SimdLevel::detect() }
     }
 
     /// Chooses which views share a map.
     #[must_use]
     pub fn with_sharing(self, sharing: Sharing) -> Self {
         Self { sharing, ..self }
+    }
+
+    /// Keeps to these vector instructions, if the CPU has them; the maps are the same.
+    #[must_use]
+    pub fn with_simd(self, simd: SimdLevel) -> Self {
+        Self { simd, ..self }
     }
 
     /// The scene.
@@ -86,11 +94,15 @@ impl ViewRenderer for MegaViews {
             pass = ViewMaps::from_parts(settings.resolution, undrawable, none, Vec::new(), empty, Vec::new());
             sink(pass)?;
         }
-        let run = self.views_per_pass(settings)?;
-        let runs = sorted.order.chunks(run).zip(sorted.keys.chunks(run));
-        for (order, keys) in runs {
-            let tree = ViewTree::new(views, order, keys, self.scene.depth, self.sharing);
-            sink(self.pass(&tree, order, settings, &texels))?;
+        if sorted.order.is_empty() {
+            return Ok(());
+        }
+        let leaves_per_pass = leaves_per_pass(views.len(), settings)?;
+        let tree = ViewTree::new(views, &sorted.order, &sorted.keys, self.scene.depth, self.sharing);
+        let leaves = leaves_depth_first(&tree);
+        for (pass, leaves) in leaves.chunks(leaves_per_pass).enumerate() {
+            let first = pass * leaves_per_pass;
+            sink(self.pass(&tree, &sorted.order, leaves, first, settings, &texels))?;
         }
         Ok(())
     }
@@ -100,31 +112,35 @@ fn undrawable(views: &[View]) -> Vec<u32> {
     (0u32..).zip(views).filter(|(_, view)| !view.is_drawable()).map(|(i, _)| i).collect()
 }
 
-impl MegaViews {
-    /// How many views fit the budget at once, if none shares its map.
-    fn views_per_pass(&self, settings: &ViewSettings) -> Result<usize, ViewError> {
-        let texels = texel_count(settings.resolution) as u64;
-        let nodes = if settings.with_colors { 4 * texels } else { 0 };
-        let view_bytes = settings.map_bytes() + nodes + BYTES_PER_VIEW;
-        // Maps on the way down, in every thread.
-        let scratch = rayon::current_num_threads() as u64 * 24 * (4 * texels + nodes);
-        let fit = settings.budget_bytes.saturating_sub(scratch) / view_bytes;
-        if fit < FEWEST_VIEWS {
-            let needed_bytes = scratch + view_bytes * FEWEST_VIEWS;
-            let (budget_bytes, what) = (settings.budget_bytes, "one view");
-            return Err(ViewError::Budget { budget_bytes, what, needed_bytes });
+/// How many maps fit the budget at once.
+fn leaves_per_pass(views: usize, settings: &ViewSettings) -> Result<usize, ViewError> {
+    let texels = texel_count(settings.resolution) as u64;
+    let node_numbers = if settings.with_colors { 4 * texels } else { 0 };
+    let map_bytes = settings.map_bytes() + node_numbers;
+    let scratch_bytes = rayon::current_num_threads() as u64 * MAPS_PER_THREAD * (4 * texels + node_numbers);
+    let fixed_bytes = views as u64 * BYTES_PER_VIEW + scratch_bytes;
+    match settings.budget_bytes.saturating_sub(fixed_bytes) / map_bytes {
+        0 => {
+            let what = "the hierarchy of the views and one map";
+            let needed_bytes = fixed_bytes + map_bytes;
+            Err(ViewError::Budget { budget_bytes: settings.budget_bytes, what, needed_bytes })
         }
-        Ok(usize::try_from(fit).unwrap_or(usize::MAX))
+        fit => Ok(usize::try_from(fit).unwrap_or(usize::MAX)),
     }
+}
 
+impl MegaViews {
+    /// The maps of a run of the hierarchy's leaves, of which the first is number `first`.
     fn pass(
         &self,
         tree: &ViewTree,
         order: &[u32],
+        leaves: &[u32],
+        first: usize,
         settings: &ViewSettings,
         texels: &TexelDirections,
     ) -> ViewMaps {
-        let count = tree.leaf_count() * texel_count(settings.resolution);
+        let count = leaves.len() * texel_count(settings.resolution);
         let mut nodes = vec![u32::MAX; if settings.with_colors { count } else { 0 }];
         let traversal = Traversal {
             scene: &self.scene,
@@ -133,6 +149,8 @@ impl MegaViews {
             scale: settings.resolution as f32 / settings.texels,
             culling: settings.culling,
             with_nodes: settings.with_colors,
+            simd: self.simd,
+            leaves: first..first + leaves.len(),
         };
         let depths = if settings.half_depths {
             let mut depths = vec![f16::ZERO; count];
@@ -148,24 +166,32 @@ impl MegaViews {
             node => self.scene.colors[self.scene.color_index(NodeRef(node))],
         };
         let colors = nodes.iter().map(color).collect();
-        let (map_of, centers) = leaf_maps(tree, order.len());
-        ViewMaps::from_parts(settings.resolution, order.to_vec(), map_of, centers, depths, colors)
+        let (mut views, mut map_of) = (Vec::new(), Vec::new());
+        let mut centers = Vec::with_capacity(leaves.len());
+        for &leaf in leaves {
+            let node = &tree.nodes[leaf as usize];
+            views.extend_from_slice(&order[node.range()]);
+            map_of.resize(views.len(), centers.len() as u32);
+            centers.push(node.center);
+        }
+        ViewMaps::from_parts(settings.resolution, views, map_of, centers, depths, colors)
     }
 }
 
-/// For each place of a run the map of its leaf, and the middles of all maps: in the order of a walk depth first.
-fn leaf_maps(tree: &ViewTree, places: usize) -> (Vec<u32>, Vec<[f32; 3]>) {
-    let mut map_of = vec![ViewMaps::NO_MAP; places];
-    let mut centers = Vec::with_capacity(tree.leaf_count());
+/// Indices of the leaves, which have the maps, in the order of a walk depth first.
+fn leaves_depth_first(tree: &ViewTree) -> Vec<u32> {
+    let mut leaves = Vec::with_capacity(tree.leaf_count());
     let mut stack = vec![0];
     while let Some(index) = stack.pop() {
         let node = &tree.nodes[index];
         if node.is_leaf() {
-            map_of[node.range()].fill(centers.len() as u32);
-            centers.push(node.center);
+            leaves.push(index as u32);
         } else {
             stack.extend(node.range().rev());
         }
     }
-    (map_of, centers)
+    leaves
 }
+
+#[cfg(test)]
+mod tests;

@@ -12,13 +12,12 @@
 
 mod kernel;
 pub mod paper;
-mod simd;
 mod stage;
 mod tester;
 #[cfg(all(test, feature = "bake"))]
 mod tests;
 
+pub use crate::simd::SimdLevel;
 pub use manyview_shaders::row_test::{Rows, TestSettings};
-pub use simd::SimdLevel;
 pub use stage::{RowTables, on_gpu, on_twins};
 pub use tester::RowTester;

@@ -143,6 +143,60 @@ pub fn is_small(offset: [f32; 3], length: f32, radius: f32, view_radius: f32, sc
     radius * scale * length < (length - view_radius) * (length + offset[0].abs())
 }
 
+/// Of a view node's sphere this share must fill less than a texel where something is drawn once for all its views: it then
+/// moves by at most a texel between the node's middle and any of them. \[MV\] keeps the sphere no larger than the scene
+/// node's, which 1 would come to. Half of it draws a million views in 0.7 of the time, and nothing is less exact by the
+/// measure of `views::agreement`.
+pub const PARALLAX: f32 = 0.5;
+
+/// What a pair comes to.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub enum PairStep {
+    /// Outside all fields of view.
+    Drop,
+    /// A point in v's map.
+    Point,
+    /// Two leaves: s is drawn as what it is.
+    Near,
+    /// On with the children of s.
+    SplitScene,
+    /// On with the children of v.
+    SplitViews,
+}
+
+/// What a pair comes to whose scene node is a sphere of `radius` at `offset` from the view node's middle. \[MV\] §3.3; the
+/// larger of the two is subdivided, spheres compared as they are drawn.
+#[inline]
+pub fn pair_step(
+    offset: [f32; 3],
+    radius: f32,
+    scene_is_leaf: bool,
+    view: &ViewNode,
+    scale: f32,
+    culling: bool,
+) -> PairStep {
+    let length = dot(offset, offset).sqrt();
+    if culling && is_culled(offset, length, radius, view) {
+        return PairStep::Drop;
+    }
+    if is_small(offset, length, radius.max(PARALLAX * view.radius), view.radius, scale) {
+        return PairStep::Point;
+    }
+    if splits_views(radius, scene_is_leaf, view) {
+        PairStep::SplitViews
+    } else if scene_is_leaf {
+        PairStep::Near
+    } else {
+        PairStep::SplitScene
+    }
+}
+
+/// Whether a pair that is not drawn goes on with the children of its view node.
+#[inline(always)]
+pub fn splits_views(radius: f32, scene_is_leaf: bool, view: &ViewNode) -> bool {
+    !view.is_leaf() && (scene_is_leaf || PARALLAX * view.radius > radius)
+}
+
 #[inline]
 pub(crate) fn dot(a: [f32; 3], b: [f32; 3]) -> f32 {
     a[0] * b[0] + a[1] * b[1] + a[2] * b[2]

@@ -14,7 +14,7 @@ use manyview_shaders::row_view::first_share;
 use manyview_shaders::testable::{MAX_NORMAL, MIN_LENGTH_SQUARED, testable};
 use manyview_shaders::types::{LightPoint, Receiver, Segment};
 
-use super::simd::{SimdLevel, dispatched};
+use crate::simd::{SimdLevel, dispatched, prefetch};
 
 /// Segments that are tested together.
 pub(super) const LANES: usize = 16;
@@ -250,25 +250,6 @@ fn lanes(mut mask: u16) -> impl Iterator<Item = usize> {
 
 /// Every how many lanes a row is fetched ahead; those between mostly lie in the same cache lines.
 const PREFETCH_STEP: usize = 2;
-
-/// Tells the processor that a word will be read soon.
-#[inline(always)]
-fn prefetch(rows: &[u32], word: usize) {
-    #[cfg(target_arch = "x86_64")]
-    if let Some(word) = rows.get(word) {
-        use std::arch::x86_64::{_MM_HINT_T0, _mm_prefetch};
-        #[allow(unsafe_code, reason = "there is no safe way to prefetch")]
-        // SAFETY: the pointer is to a word of `rows`, and a prefetch reads nothing anyway. Tested with all that
-        // tests lights: `lights_and_segments_say_the_same`.
-        unsafe {
-            _mm_prefetch::<_MM_HINT_T0>(std::ptr::from_ref(word).cast());
-        }
-    }
-    #[cfg(not(target_arch = "x86_64"))]
-    {
-        _ = (rows, word);
-    }
-}
 
 /// Lanes of `active` with a bit in their parts.
 #[inline(always)]

@@ -1,8 +1,8 @@
 use super::kernel::{self, LANES, View};
-use super::simd::SimdLevel;
 use super::{Rows, TestSettings};
 use crate::archive::{Archive, LoadError};
 use crate::scene_cpu::CpuScene;
+use crate::simd::SimdLevel;
 use crate::visibility::{LightPoint, Receiver, Segment, Visibility, VisibilityError, light_words};
 use manyview_shaders::direction_table::DirectionTable;
 use manyview_shaders::directions::{DirectionFrame, DirectionSet, RowLattice};

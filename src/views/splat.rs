@@ -12,6 +12,7 @@
 
 use manyview_shaders::paraboloid::{is_inside, texel, texel_count, texel_direction};
 use manyview_shaders::scene_tree::SPHERE_OF_CUBE;
+use std::ops::Range;
 
 /// Below this sum of cosines a leaf's sphere reaches so far around a half's pole that the whole half is tried.
 const WHOLE_HALF: f32 = 1e-3;
@@ -106,9 +107,31 @@ impl Canvas<'_> {
         }
     }
 
+    /// [`Canvas::point`] for the first `count` of many: `offsets` by axis.
+    #[inline(always)]
+    pub fn points<const N: usize>(&mut self, offsets: &[[f32; N]; 3], nodes: &[u32; N], count: usize) {
+        let resolution = self.texels.resolution;
+        let half_side = resolution as f32 * 0.5;
+        let [x, y, z] = offsets;
+        let (mut lengths, mut texels) = ([0.0; N], [0u32; N]);
+        for i in 0..N {
+            // As in paraboloid::project and texel; of what is nothing the texel is the last one.
+            let length = (x[i] * x[i] + y[i] * y[i] + z[i] * z[i]).sqrt();
+            let scale = 1.0 / (length + x[i].abs());
+            let column = (((y[i] * scale + 1.0) * half_side) as i32).min(resolution as i32 - 1);
+            let row = (((z[i] * scale + 1.0) * half_side) as i32).min(resolution as i32 - 1);
+            let half = if x[i] < 0.0 { resolution } else { 0 };
+            texels[i] = (half + row as u32) * resolution + column as u32;
+            lengths[i] = if length > 0.0 { length } else { f32::INFINITY };
+        }
+        for i in 0..count.min(N) {
+            self.keep(texels[i] as usize, lengths[i], nodes[i]);
+        }
+    }
+
     /// Draws a cube of an edge, metres, whose middle is at `offset` and which does not hold the middle of the map: the
     /// texel of its middle gets the middle's distance, every texel whose middle ray meets it the distance where it enters.
-    #[inline]
+    #[inline(always)]
     pub fn leaf(&mut self, offset: [f32; 3], edge: f32, node: u32) {
         let half_edge = edge * 0.5;
         let length = (offset[0] * offset[0] + offset[1] * offset[1] + offset[2] * offset[2]).sqrt();
@@ -124,22 +147,53 @@ impl Canvas<'_> {
             for row in rows[0]..rows[1] {
                 let [first, end] = self.texels.spans[row as usize];
                 let start = ((half * resolution + row) * resolution) as usize;
-                for column in columns[0].max(first)..columns[1].min(end) {
-                    let texel = start + column as usize;
-                    let inverse = [0, 1, 2].map(|i| self.texels.inverses[i][texel]);
-                    let a = [0, 1, 2].map(|i| low[i] * inverse[i]);
-                    let b = [0, 1, 2].map(|i| high[i] * inverse[i]);
-                    let [near, far] =
-                        [[0, 1, 2].map(|i: usize| a[i].min(b[i])), [0, 1, 2].map(|i: usize| a[i].max(b[i]))];
-                    let enter = near[0].max(near[1]).max(near[2]);
-                    let exit = far[0].min(far[1]).min(far[2]);
-                    if enter <= exit && enter > 0.0 {
-                        self.keep(texel, enter, node);
-                    }
+                let (first, end) = (columns[0].max(first) as usize, columns[1].min(end) as usize);
+                if first < end {
+                    self.leaf_row(start + first..start + end, low, high, node);
                 }
             }
         }
     }
+
+    /// Texels of a row whose middle rays meet a box.
+    #[inline(always)]
+    fn leaf_row(&mut self, row: Range<usize>, low: [f32; 3], high: [f32; 3], node: u32) {
+        let inverses = [0, 1, 2].map(|i: usize| &self.texels.inverses[i][row.clone()]);
+        let enter = |t: usize| {
+            let (mut enter, mut exit) = (f32::NEG_INFINITY, f32::INFINITY);
+            for i in 0..3 {
+                let (a, b) = (low[i] * inverses[i][t], high[i] * inverses[i][t]);
+                enter = larger(enter, smaller(a, b));
+                exit = smaller(exit, larger(a, b));
+            }
+            if enter <= exit && enter > 0.0 { enter } else { f32::INFINITY }
+        };
+        if self.nodes.is_empty() {
+            let depths = &mut self.depths[row];
+            for t in 0..depths.len() {
+                depths[t] = smaller(enter(t), depths[t]);
+            }
+        } else {
+            for t in 0..row.len() {
+                let depth = enter(t);
+                if depth < f32::INFINITY {
+                    self.keep(row.start + t, depth, node);
+                }
+            }
+        }
+    }
+}
+
+/// One instruction where `f32::min`, which heeds NaNs, is several.
+#[inline(always)]
+fn smaller(a: f32, b: f32) -> f32 {
+    if a < b { a } else { b }
+}
+
+/// See [`smaller`].
+#[inline(always)]
+fn larger(a: f32, b: f32) -> f32 {
+    if a > b { a } else { b }
 }
 
 /// Columns and rows (first, and one behind the last) of a half whose texels' middles the sphere around a cube may cover.

@@ -28,11 +28,30 @@ impl SimdLevel {
     }
 }
 
+/// Asks for an element that will be read soon; nothing happens if there is none.
+#[inline(always)]
+pub(crate) fn prefetch<T>(slice: &[T], index: usize) {
+    #[cfg(target_arch = "x86_64")]
+    if let Some(element) = slice.get(index) {
+        use std::arch::x86_64::{_MM_HINT_T0, _mm_prefetch};
+        #[allow(unsafe_code, reason = "there is no safe way to prefetch")]
+        // SAFETY: the pointer is to an element of the slice, and a prefetch reads nothing anyway. Tested with all that
+        // tests lights: `lights_and_segments_say_the_same`.
+        unsafe {
+            _mm_prefetch::<_MM_HINT_T0>(std::ptr::from_ref(element).cast());
+        }
+    }
+    #[cfg(not(target_arch = "x86_64"))]
+    {
+        _ = (slice, index);
+    }
+}
+
 /// Compiles a function for each [`SimdLevel`] and chooses at run time.
 macro_rules! dispatched {
     ($(#[$doc:meta])* $name:ident = $body:ident($($arg:ident: $type:ty),* $(,)?)) => {
         $(#[$doc])*
-        pub(super) fn $name(level: SimdLevel, $($arg: $type),*) {
+        pub(crate) fn $name(level: SimdLevel, $($arg: $type),*) {
             #[cfg(target_arch = "x86_64")]
             {
                 #[target_feature(enable = "avx512f,avx512bw,avx512dq,avx512vl")]
@@ -58,4 +77,4 @@ macro_rules! dispatched {
         }
     };
 }
-pub(super) use dispatched;
+pub(crate) use dispatched;
