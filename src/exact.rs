@@ -25,6 +25,13 @@ pub const LIFT: f64 = 1e-6;
 /// Or this share of the scene's largest coordinate, if that is more: four times what `f32` rounds it by.
 const ROUNDING: f64 = 2.4e-7;
 
+/// How far origins on surfaces are lifted in a scene of these bounds.
+pub(crate) fn lift_metres(min: DVec3, max: DVec3) -> f64 {
+    // Far from the origin of the world, coordinates are rounded to more than a share of the diagonal.
+    let rounding = min.abs().max(max.abs()).max_element() * ROUNDING;
+    ((max - min).length() * LIFT).max(rounding)
+}
+
 impl<'a, R: Borrow<Reference<'a>>> ExactRays<'a, R> {
     /// Takes the ray tracer, or borrows it.
     pub fn new(reference: R) -> Self {
@@ -34,10 +41,7 @@ impl<'a, R: Borrow<Reference<'a>>> ExactRays<'a, R> {
             triangles.iter().flatten().fold((first, first), |(min, max), &p| (min.min(p), max.max(p)));
         let diagonal = (max - min).length();
         let around = [min - diagonal * 0.01, max + diagonal * 0.01];
-        // Far from the origin of the world, coordinates are rounded to more than that.
-        let rounding = min.abs().max(max.abs()).max_element() * ROUNDING;
-        let lift_metres = (diagonal * LIFT).max(rounding);
-        Self { reference, scene: PhantomData, around, lift_metres }
+        Self { reference, scene: PhantomData, around, lift_metres: lift_metres(min, max) }
     }
 
     /// The ray tracer.

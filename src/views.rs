@@ -4,8 +4,24 @@
 //! ([`manyview_shaders::paraboloid`]). [`ViewRenderer`]s are `megaviews` ([`crate::megaviews`]), `manylods`
 //! ([`crate::manylods`]) and the exact `raycast`, so that commands, pictures and tables take any of them.
 
+pub mod agreement;
 mod maps;
+pub mod methods;
+#[cfg(feature = "bake")]
+mod rasterized;
+mod raycast;
+#[cfg(feature = "bake")]
+pub mod sample;
 pub mod splat;
+mod surfaces;
+mod texels;
+
+#[cfg(feature = "bake")]
+pub use rasterized::Polygons;
+pub use raycast::RayCast;
+#[cfg(feature = "bake")]
+pub use surfaces::TriangleSurfaces;
+pub use surfaces::{OctreeSurfaces, Seen, Surfaces};
 
 pub use manyview_shaders::views::View;
 pub use maps::{Depths, ViewMaps};

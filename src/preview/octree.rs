@@ -211,6 +211,24 @@ impl Octree {
         }
     }
 
+    /// Where a ray leaves the deepest cell that holds its origin, exactly as traversal sees that cell's planes; `None` if
+    /// the origin is outside the scene cube or not finite.
+    pub fn leaves_cell_at(&self, ray: &Ray) -> Option<f64> {
+        let side = f64::from(1u32 << self.depth);
+        let cell = [0, 1, 2].map(|i| (ray.origin[i] - self.origin[i]) / self.voxel);
+        if !cell.iter().all(|c| (0.0..side).contains(c)) {
+            return None;
+        }
+        let walk = Walk::start(self, &Ray { t_min: 0.0, t_max: f64::INFINITY, ..*ray })?;
+        let last = (1u32 << self.depth) - 1;
+        let exits = [0, 1, 2].map(|i| {
+            let coordinate = cell[i] as u32;
+            let mirrored = if walk.mirror >> i & 1 == 1 { last - coordinate } else { coordinate };
+            walk.plane(i, mirrored + 1)
+        });
+        Some(exits.into_iter().fold(f64::INFINITY, f64::min))
+    }
+
     /// Whether a ray meets any node at the deepest level.
     pub fn is_occluded(&self, ray: &Ray) -> bool {
         self.intersect(ray, self.depth).is_some()
