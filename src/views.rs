@@ -5,6 +5,8 @@
 //! ([`crate::manylods`]) and the exact `raycast`, so that commands, pictures and tables take any of them.
 
 pub mod agreement;
+#[cfg(feature = "bake")]
+pub mod files;
 mod maps;
 pub mod methods;
 #[cfg(feature = "bake")]

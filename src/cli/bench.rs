@@ -1,10 +1,15 @@
 //! `manyview bench`.
 
-use manyview::bench::tables::{self, DynamicSettings, OurMethods, TableSettings};
+use manyview::bench::tables::{
+    self, DynamicSettings, OurMethods, Renderers, TableSettings, ViewSubject, ViewTableSettings,
+};
 use manyview::bench::variants::{Detail, variants};
 use manyview::bench::{BenchError, BenchScene, RunInfo, SceneSource, Table, rows, voxels};
 use manyview::gpu::{AdapterChoice, GpuContext};
 use manyview::rays::paper::OriginBias;
+use manyview::reference::Reference;
+use manyview::views::methods::{Ingredients, ViewMethod, renderer};
+use manyview::views::{ViewError, ViewRenderer};
 use manyview_pipeline::bake;
 use std::path::PathBuf;
 
@@ -52,7 +57,16 @@ pub(crate) struct Args {
     /// The paper's tables: how often each method is timed; the shortest time counts
     #[arg(long, value_name = "N", default_value_t = 3, value_parser = clap::value_parser!(u32).range(1..=100))]
     repeats: u32,
-    /// The paper's tables: a method to compare; may be repeated [default: all]
+    /// The table of views: how many there are at most
+    #[arg(long, value_name = "N", default_value_t = 1_000_000, value_parser = clap::value_parser!(u32).range(1..=100_000_000))]
+    views: u32,
+    /// The table of views: a method is left out where it would presumably take longer than this
+    #[arg(long, value_name = "SECONDS", default_value_t = 60.0)]
+    most_seconds: f64,
+    /// The table of views: levels of the octree, compared with 8
+    #[arg(long, value_name = "L", default_value_t = 11, value_parser = clap::value_parser!(u32).range(9..=12))]
+    levels: u32,
+    /// The paper's tables and that of views: a method to compare; may be repeated [default: all]
     #[arg(long = "method", value_name = "NAME")]
     methods: Vec<String>,
 }
@@ -88,6 +102,9 @@ pub(crate) enum TableName {
     /// Table VI: rays a second against triangles, 100 thousand to 10 million
     #[value(alias = "VI")]
     Throughput,
+    /// Methods that draw many views: time and memory against views and texels, agreement with exact casts, levels of the
+    /// octree, culling
+    Views,
 }
 
 /// The tables that are measured with all methods.
@@ -155,7 +172,8 @@ pub(crate) fn run(
             }
         }
     }
-    let gpu = match PAPER_TABLES.iter().any(|&table| wanted(table)) {
+    let needs_gpu = wanted(TableName::Views) || PAPER_TABLES.iter().any(|&table| wanted(table));
+    let gpu = match needs_gpu {
         true => GpuContext::open(&AdapterChoice::from_env()).ok(),
         false => return Ok(()),
     };
@@ -174,6 +192,11 @@ pub(crate) fn run(
         table.run = Some(RunInfo::gather(command_line(), adapter.clone()));
         done(&table)
     };
+    if wanted(TableName::Views) {
+        for source in &scenes_or(&["town:100000"]) {
+            views(args, &BenchScene::load(source)?, methods.gpu.as_ref(), &mut done, progress)?;
+        }
+    }
     let paper = scenes_or(&PAPER_SCENES);
     if wanted(TableName::Scenes) {
         done(tables::scenes(&paper, methods, &settings, progress)?)?;
@@ -200,6 +223,84 @@ pub(crate) fn run(
     Ok(())
 }
 
+/// Octree levels that the table of views compares with.
+const COARSE_LEVELS: u32 = 8;
+/// Views whose maps are compared with exact casts, each in 2 · 64 · R² rays.
+const COMPARED_VIEWS: u32 = 64;
+/// Numbers of views.
+const VIEW_COUNTS: [u32; 6] = [1_000, 4_000, 16_000, 64_000, 256_000, 1_000_000];
+/// Texels a side.
+const VIEW_RESOLUTIONS: [u32; 5] = [16, 32, 64, 128, 256];
+
+/// The tables of views over one scene.
+fn views(
+    args: &Args,
+    scene: &BenchScene,
+    gpu: Option<&GpuContext>,
+    done: &mut dyn FnMut(Table) -> Result<(), BenchError>,
+    progress: &dyn bake::Progress,
+) -> Result<(), BenchError> {
+    let settings = ViewTableSettings {
+        repeats: args.repeats,
+        most_seconds: args.most_seconds,
+        ..ViewTableSettings::default()
+    };
+    let reference = Reference::new(&scene.scene, &scene.row_triangles, &scene.cutouts);
+    let coarse = ViewSubject::new(scene, COARSE_LEVELS)?;
+    let fine = ViewSubject::new(scene, args.levels)?;
+    let made = view_renderers(&fine, &reference, gpu, &args.methods)?;
+    let kinds = [fine.surface_views(args.seed), fine.random_views(args.seed)];
+    let counts: Vec<u32> = VIEW_COUNTS.into_iter().filter(|&count| count <= args.views).collect();
+    let counts = if counts.is_empty() { vec![args.views] } else { counts };
+    done(tables::view_growth(&fine, &kinds, &counts, &made, &settings, progress)?)?;
+    let compared = COMPARED_VIEWS.min(args.views);
+    done(tables::view_agreement(&fine, &kinds, compared, &[16, 64], &made, &settings, progress)?)?;
+    let [surface, _] = &kinds;
+    let some = args.views.min(VIEW_COUNTS[0]);
+    done(tables::view_resolutions(&fine, surface, some, &VIEW_RESOLUTIONS, &made, &settings, progress)?)?;
+    done(tables::view_culling(&fine, &kinds, some, &made, &settings, progress)?)?;
+    let over_coarse = view_renderers(&coarse, &reference, gpu, &args.methods)?;
+    let both: [(&ViewSubject, &Renderers<'_>); 2] = [(&coarse, &over_coarse), (&fine, &made)];
+    done(tables::view_levels(&both, surface, [some, compared], &settings, progress)?)
+}
+
+/// All methods, or those that are named; on a GPU too, if there is one, with `-gpu` behind their names.
+fn view_renderers<'a>(
+    subject: &'a ViewSubject,
+    reference: &'a Reference<'a>,
+    gpu: Option<&'a GpuContext>,
+    names: &[String],
+) -> Result<Vec<(String, Box<dyn ViewRenderer + 'a>)>, BenchError> {
+    let mut known = Vec::new();
+    let mut made = Vec::new();
+    for (method, name) in ViewMethod::NAMES {
+        let on_gpu = gpu.filter(|_| method.runs_on_gpu()).map(Some);
+        for gpu in [None].into_iter().chain(on_gpu) {
+            let name = if gpu.is_some() { format!("{name}-gpu") } else { name.to_owned() };
+            known.push(name.clone());
+            if !names.is_empty() && !names.contains(&name) {
+                continue;
+            }
+            let ingredients = Ingredients {
+                svo: Some(&subject.svo),
+                reference: Some(reference),
+                gpu,
+                ..Ingredients::default()
+            };
+            match renderer(method, &ingredients) {
+                Ok(renderer) => made.push((name, renderer)),
+                // Unless it was asked for, a method that is not there is no reason to measure none.
+                Err(ViewError::Unsupported { .. }) if names.is_empty() => {}
+                Err(source) => return Err(BenchError::Views { method: name, source }),
+            }
+        }
+    }
+    match names.iter().find(|name| !known.contains(name)) {
+        Some(name) => Err(BenchError::NoSuchMethod { name: name.clone(), known: known.join(", ") }),
+        None => Ok(made),
+    }
+}
+
 /// The command as a shell would take it, without the program's folder.
 fn command_line() -> String {
     let arguments = std::env::args().skip(1).map(|argument| match argument.contains([' ', '"', '\'']) {
@@ -213,7 +314,9 @@ impl From<BenchError> for CliError {
     fn from(error: BenchError) -> Self {
         let exit = match error {
             BenchError::Cancelled => Exit::Cancelled,
-            BenchError::NoSuchMethod { .. } => Exit::Usage,
+            BenchError::NoSuchMethod { .. }
+            | BenchError::Views { source: ViewError::Unsupported { .. }, .. } => Exit::Usage,
+            BenchError::Views { source: ViewError::Budget { .. }, .. } => Exit::OverBudget,
             _ => Exit::BadInput,
         };
         Self::new(exit, error)

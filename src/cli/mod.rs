@@ -16,6 +16,7 @@ mod rays;
 mod render;
 mod scene;
 mod verify;
+mod views;
 mod voxels;
 
 use std::panic;
@@ -52,6 +53,8 @@ enum Command {
     Voxels(voxels::Options),
     /// Tests segments: is anything between two points, or how far is the first hit?
     Rays(rays::Options),
+    /// Draws what many views see: a map of distances in all directions for each
+    Views(views::Options),
     /// Measures voxels and rows against exact references
     Bench(bench::Args),
     /// Draws a scene in the light of many lights
@@ -85,6 +88,7 @@ pub(crate) fn main() -> ExitCode {
         Command::Diff(options) => diff::run(options),
         Command::Voxels(options) => voxels::run(options),
         Command::Rays(options) => rays::run(options),
+        Command::Views(options) => views::run(options),
         Command::Bench(options) => bench::run_command(options),
         Command::Preview(options) => preview::run(options),
         Command::Render(options) => render::run(options),

@@ -102,23 +102,27 @@ impl Input {
     /// The archive, or a new one of the scene with the default settings, in memory; without rows if they are not
     /// needed.
     pub(crate) fn into_archive(self, with_rows: bool) -> Result<Archive, CliError> {
-        let (scene, name) = match self {
-            Self::Archive(archive) => return Ok(*archive),
-            Self::Scene { scene, name } => (scene, name),
-        };
-        eprintln!("{name}: baking it in memory with the default settings (see `manyview bake`)");
-        let failed = |error| CliError::bad_input(format!("{name}: {error}"));
-        let mut options = BakeOptions::default();
-        options.rows = options.rows.filter(|_| with_rows);
-        let progress = Progress::new(Format::Text, cancel::watch());
-        let mut writer = ArchiveWriter::in_memory().map_err(|error| failed(error.to_string()))?;
-        let result = bake(&scene.scene, &options, None, &mut writer, &progress);
-        progress.finish();
-        cancel::check()?;
-        result.map_err(|error| failed(error.to_string()))?;
-        let (bytes, _) = writer.finish().map_err(|error| failed(error.to_string()))?;
-        Ok(Archive::from_bytes(bytes)?)
+        match self {
+            Self::Archive(archive) => Ok(*archive),
+            Self::Scene { scene, name } => archive_of(&scene, &name, with_rows),
+        }
     }
+}
+
+/// A bake of a scene with the default settings, in memory; without rows if they are not needed.
+pub(crate) fn archive_of(scene: &BenchScene, name: &str, with_rows: bool) -> Result<Archive, CliError> {
+    eprintln!("{name}: baking it in memory with the default settings (see `manyview bake`)");
+    let failed = |error| CliError::bad_input(format!("{name}: {error}"));
+    let mut options = BakeOptions::default();
+    options.rows = options.rows.filter(|_| with_rows);
+    let progress = Progress::new(Format::Text, cancel::watch());
+    let mut writer = ArchiveWriter::in_memory().map_err(|error| failed(error.to_string()))?;
+    let result = bake(&scene.scene, &options, None, &mut writer, &progress);
+    progress.finish();
+    cancel::check()?;
+    result.map_err(|error| failed(error.to_string()))?;
+    let (bytes, _) = writer.finish().map_err(|error| failed(error.to_string()))?;
+    Ok(Archive::from_bytes(bytes)?)
 }
 
 fn begins_with(path: &Path, magic: &[u8]) -> bool {

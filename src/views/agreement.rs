@@ -155,13 +155,7 @@ impl Agreement {
         for (place, &view) in maps.views().iter().enumerate() {
             if maps.map_of()[place] != ViewMaps::NO_MAP {
                 let depths = maps.view_depths(place);
-                found.add(of_view(
-                    &depths,
-                    maps.resolution(),
-                    surfaces,
-                    &views[view as usize],
-                    settings,
-                ));
+                found.add(of_view(&depths, maps.resolution(), surfaces, &views[view as usize], settings));
             }
         }
         found

@@ -1,8 +1,8 @@
 //! Methods of drawing views by their names.
 
+use super::{OctreeSurfaces, RayCast, ViewError, ViewRenderer};
 #[cfg(feature = "bake")]
 use super::{Polygons, TriangleSurfaces};
-use super::{OctreeSurfaces, RayCast, ViewError, ViewRenderer};
 use crate::gpu::GpuContext;
 #[cfg(feature = "bake")]
 use crate::reference::Reference;
@@ -97,7 +97,8 @@ pub fn renderer<'a>(
         #[cfg(feature = "bake")]
         ViewMethod::RayCastTriangles | ViewMethod::Polygons => {
             let reference = ingredients.reference;
-            let reference = reference.ok_or_else(|| missing("needs triangles: name a scene, not an archive"))?;
+            let reference =
+                reference.ok_or_else(|| missing("needs triangles: name a scene, not an archive"))?;
             match method {
                 ViewMethod::Polygons => Box::new(Polygons::new(reference)),
                 _ => Box::new(RayCast::new(TriangleSurfaces::new(reference))),

@@ -116,13 +116,7 @@ struct Triangle {
 }
 
 /// Columns and rows of a half whose middles may lie within a sphere at `offset`.
-fn circle(
-    offset: DVec3,
-    length: f64,
-    radius: f64,
-    half: u32,
-    resolution: u32,
-) -> [std::ops::Range<u32>; 2] {
+fn circle(offset: DVec3, length: f64, radius: f64, half: u32, resolution: u32) -> [std::ops::Range<u32>; 2] {
     let all = [0..resolution, 0..resolution];
     let ahead = if half == 0 { offset.x } else { -offset.x };
     if ahead < -radius {

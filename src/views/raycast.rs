@@ -158,7 +158,8 @@ pub(super) mod tests {
         octree([-2.0; 3], 4.0, 6, |cell| {
             let corner = |high: u32| {
                 let reach = cell.map(|c| {
-                    let (a, b) = ((f64::from(c) * edge - 2.0).abs(), ((f64::from(c) + 1.0) * edge - 2.0).abs());
+                    let (a, b) =
+                        ((f64::from(c) * edge - 2.0).abs(), ((f64::from(c) + 1.0) * edge - 2.0).abs());
                     if high == 1 { a.max(b) } else { a.min(b) }
                 });
                 reach.iter().map(|c| c * c).sum::<f64>()
@@ -223,7 +224,8 @@ pub(super) mod tests {
             let maps = draw(&cast, &[View::new(position, [0.0, 1.0, 0.0], 1.5)], &ViewSettings::new(16));
             let up = maps.distance(0, [1e-4, 1.0, 1e-4]);
             if position[0] > 2.0 {
-                assert!((up - (9.75 - position[1])).abs() < 0.01, "{up}");
+                // The middle of the texel is up to a tenth of a radian off.
+                assert!((up - (9.75 - position[1])).abs() < 0.05, "{up}");
             }
             for index in (0..512u32).filter(|&index| is_inside(index, 16)) {
                 let depth = maps.depth(0, index as usize);
@@ -237,8 +239,7 @@ pub(super) mod tests {
     #[test]
     fn passes_keep_to_the_budget_and_change_nothing() {
         let cast = RayCast::new(OctreeSurfaces::new(&sphere(), false));
-        let mut views: Vec<View> =
-            (0..20u8).map(|i| View::around([-3.0, 0.1 * f32::from(i), 0.2])).collect();
+        let mut views: Vec<View> = (0..20u8).map(|i| View::around([-3.0, 0.1 * f32::from(i), 0.2])).collect();
         views[4].position[1] = f32::NAN;
         views[9].position[0] = f32::INFINITY;
         let settings = ViewSettings::new(8);
@@ -259,10 +260,7 @@ pub(super) mod tests {
             assert_eq!(all.view_depths(i), together.view_depths(i));
         }
         let none = ViewSettings { budget_bytes: 100, ..settings };
-        assert!(matches!(
-            cast.render_passes(&views, &none, &mut |_| Ok(())),
-            Err(ViewError::Budget { .. })
-        ));
+        assert!(matches!(cast.render_passes(&views, &none, &mut |_| Ok(())), Err(ViewError::Budget { .. })));
         let mut called = false;
         let mut sink = |_| {
             called = true;

@@ -134,7 +134,10 @@ mod tests {
         let surface = of("surface:50");
         for view in &surface {
             let cell = [0, 1, 2].map(|i| (f64::from(view.position[i]) - bounds[0][i]) / 0.25 - 0.5);
-            assert!((cell[0] - cell[0].round()).abs() < 1e-4 && (cell[2].fract() - 0.5).abs() < 1e-4, "{cell:?}");
+            assert!(
+                (cell[0] - cell[0].round()).abs() < 1e-4 && (cell[2].fract() - 0.5).abs() < 1e-4,
+                "{cell:?}"
+            );
             assert_eq!((view.axis, view.half_angle), ([0.0, 0.0, 1.0], FRAC_PI_2));
         }
         assert_eq!(surface[..7], of("surface:7"));

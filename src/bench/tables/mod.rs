@@ -9,6 +9,9 @@
 //! | V | [`dynamic`], [`deforming_rows`] | moving and deforming objects |
 //! | VI | [`throughput`] | rays a second against triangles |
 //!
+//! and, of methods that draw many views, [`view_growth`], [`view_agreement`], [`view_resolutions`], [`view_levels`] and
+//! [`view_culling`].
+//!
 //! # Practice
 //! Receivers are the surface points that a camera sees ([`Subject`]); every receiver is asked about every light, as a
 //! renderer would. Exact rays ([`crate::exact`]) are the truth, and the time for them is the time of method `bvh`.
@@ -21,6 +24,8 @@ mod images;
 mod measure;
 mod methods;
 mod subject;
+mod view_measure;
+mod views;
 
 pub use dynamic::{DynamicSettings, deforming_rows, dynamic};
 pub use errors::Errors;
@@ -28,6 +33,11 @@ pub use images::{directions, lights, resolution, scenes, throughput};
 pub use measure::{Measured, Measurement};
 pub use methods::{Method, MethodSource, OurMethods};
 pub use subject::Subject;
+pub use view_measure::Drawn;
+pub use views::{
+    Renderers, ViewKind, ViewSubject, ViewTableSettings, view_agreement, view_culling, view_growth,
+    view_levels, view_resolutions,
+};
 
 use crate::bench::BenchError;
 use manyview_pipeline::bake::BakeOptions;

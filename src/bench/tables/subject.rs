@@ -88,7 +88,7 @@ impl<'a> Subject<'a> {
 }
 
 /// A scene's octree, without rows.
-fn bake_octree(scene: &BenchScene, levels: u32) -> Result<Archive, BenchError> {
+pub(super) fn bake_octree(scene: &BenchScene, levels: u32) -> Result<Archive, BenchError> {
     bake_in_memory(scene, &BakeOptions { levels, rows: None, ..BakeOptions::default() })
 }
 
