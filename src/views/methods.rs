@@ -4,11 +4,14 @@ use super::{OctreeSurfaces, RayCast, ViewError, ViewRenderer};
 #[cfg(feature = "bake")]
 use super::{Polygons, TriangleSurfaces};
 use crate::gpu::GpuContext;
+use crate::megaviews::MegaViews;
 #[cfg(feature = "bake")]
 use crate::reference::Reference;
+use manyview_shaders::scene_tree::SceneTree;
 use manyview_shaders::svo::Svo;
 use std::fmt;
 use std::str::FromStr;
+use std::sync::Arc;
 
 /// A method.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
@@ -45,9 +48,9 @@ impl ViewMethod {
         matches!(self, Self::RayCastTriangles | Self::Polygons)
     }
 
-    /// Whether it can run on a GPU.
+    /// Whether it can run on a GPU: none can yet.
     pub fn runs_on_gpu(self) -> bool {
-        matches!(self, Self::MegaViews | Self::ManyLods)
+        false
     }
 }
 
@@ -91,8 +94,10 @@ pub fn renderer<'a>(
     let missing = |problem| ViewError::Unsupported { method: method.name(), problem };
     let svo = || ingredients.svo.ok_or_else(|| missing("needs an octree: name an archive"));
     Ok(match method {
-        ViewMethod::MegaViews => return Err(missing("is not there yet: use raycast")),
-        ViewMethod::ManyLods => return Err(missing("is not there yet: use raycast")),
+        ViewMethod::MegaViews => {
+            Box::new(MegaViews::new(Arc::new(SceneTree::new(svo()?, ingredients.with_colors))))
+        }
+        ViewMethod::ManyLods => return Err(missing("is not there yet: use megaviews or raycast")),
         ViewMethod::RayCast => Box::new(RayCast::new(OctreeSurfaces::new(svo()?, ingredients.with_colors))),
         #[cfg(feature = "bake")]
         ViewMethod::RayCastTriangles | ViewMethod::Polygons => {

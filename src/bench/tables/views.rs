@@ -150,8 +150,9 @@ fn plots(name: &str, title: &str, x_label: &str, points: &Points) -> Vec<Plot> {
             })
             .collect(),
     };
-    let mib =
-        |drawn: &Drawn| drawn.peak_bytes.unwrap_or(drawn.largest_pass_bytes) as f64 / f64::from(1 << 20);
+    let mib = |drawn: &Drawn| {
+        drawn.peak_bytes.unwrap_or(0).max(drawn.largest_pass_bytes) as f64 / f64::from(1 << 20)
+    };
     vec![plot("time", "ms", |drawn| drawn.seconds * 1e3), plot("memory", "MiB", mib)]
 }
 
