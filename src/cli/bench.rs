@@ -1,15 +1,16 @@
 //! `manyview bench`.
 
 use manyview::bench::tables::{
-    self, DynamicSettings, OurMethods, Renderers, TableSettings, ViewSubject, ViewTableSettings,
+    self, DynamicSettings, NamedRenderer, OurMethods, Renderers, TableSettings, ViewSubject,
+    ViewTableSettings,
 };
 use manyview::bench::variants::{Detail, variants};
 use manyview::bench::{BenchError, BenchScene, RunInfo, SceneSource, Table, rows, voxels};
 use manyview::gpu::{AdapterChoice, GpuContext};
 use manyview::rays::paper::OriginBias;
 use manyview::reference::Reference;
+use manyview::views::ViewError;
 use manyview::views::methods::{Ingredients, ViewMethod, renderer};
-use manyview::views::{ViewError, ViewRenderer};
 use manyview_pipeline::bake;
 use std::path::PathBuf;
 
@@ -270,7 +271,7 @@ fn view_renderers<'a>(
     reference: &'a Reference<'a>,
     gpu: Option<&'a GpuContext>,
     names: &[String],
-) -> Result<Vec<(String, Box<dyn ViewRenderer + 'a>)>, BenchError> {
+) -> Result<Vec<NamedRenderer<'a>>, BenchError> {
     let mut known = Vec::new();
     let mut made = Vec::new();
     for (method, name) in ViewMethod::NAMES {

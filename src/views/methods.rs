@@ -48,9 +48,9 @@ impl ViewMethod {
         matches!(self, Self::RayCastTriangles | Self::Polygons)
     }
 
-    /// Whether it can run on a GPU.
+    /// Whether it can run on a GPU: none can yet.
     pub fn runs_on_gpu(self) -> bool {
-        matches!(self, Self::MegaViews | Self::ManyLods)
+        false
     }
 }
 
@@ -95,10 +95,9 @@ pub fn renderer<'a>(
     let svo = || ingredients.svo.ok_or_else(|| missing("needs an octree: name an archive"));
     Ok(match method {
         ViewMethod::MegaViews => {
-            let scene = SceneTree::new(svo()?, ingredients.with_colors);
-            Box::new(MegaViews::new(Arc::new(scene)))
+            Box::new(MegaViews::new(Arc::new(SceneTree::new(svo()?, ingredients.with_colors))))
         }
-        ViewMethod::ManyLods => return Err(missing("is not there yet: use raycast")),
+        ViewMethod::ManyLods => return Err(missing("is not there yet: use megaviews or raycast")),
         ViewMethod::RayCast => Box::new(RayCast::new(OctreeSurfaces::new(svo()?, ingredients.with_colors))),
         #[cfg(feature = "bake")]
         ViewMethod::RayCastTriangles | ViewMethod::Polygons => {

@@ -35,8 +35,8 @@ pub use methods::{Method, MethodSource, OurMethods};
 pub use subject::Subject;
 pub use view_measure::Drawn;
 pub use views::{
-    Renderers, ViewKind, ViewSubject, ViewTableSettings, view_agreement, view_culling, view_growth,
-    view_levels, view_resolutions,
+    NamedRenderer, Renderers, ViewKind, ViewSubject, ViewTableSettings, view_agreement, view_culling,
+    view_growth, view_levels, view_resolutions,
 };
 
 use crate::bench::BenchError;

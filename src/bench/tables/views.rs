@@ -23,8 +23,11 @@ use crate::views::{OctreeSurfaces, View, ViewError, ViewRenderer, ViewSettings};
 use manyview_pipeline::bake::Progress;
 use manyview_shaders::svo::Svo;
 
+/// A method with its name in tables.
+pub type NamedRenderer<'a> = (String, Box<dyn ViewRenderer + 'a>);
+
 /// Methods with their names in tables.
-pub type Renderers<'a> = [(String, Box<dyn ViewRenderer + 'a>)];
+pub type Renderers<'a> = [NamedRenderer<'a>];
 
 /// An octree that views look at.
 pub struct ViewSubject {
@@ -147,15 +150,16 @@ fn plots(name: &str, title: &str, x_label: &str, points: &Points) -> Vec<Plot> {
             })
             .collect(),
     };
-    let mib =
-        |drawn: &Drawn| drawn.peak_bytes.unwrap_or(drawn.largest_pass_bytes) as f64 / f64::from(1 << 20);
+    let mib = |drawn: &Drawn| {
+        drawn.peak_bytes.unwrap_or(0).max(drawn.largest_pass_bytes) as f64 / f64::from(1 << 20)
+    };
     vec![plot("time", "ms", |drawn| drawn.seconds * 1e3), plot("memory", "MiB", mib)]
 }
 
 /// Draws once, unless the user has given up.
 fn step(
     progress: &dyn Progress,
-    renderer: &(String, Box<dyn ViewRenderer + '_>),
+    renderer: &NamedRenderer<'_>,
     views: &[View],
     drawing: &ViewSettings,
     repeats: u32,
@@ -390,7 +394,7 @@ mod tests {
     use manyview_pipeline::bake::Silent;
     use manyview_pipeline::generate::{SceneKind, generate};
 
-    fn renderers(subject: &ViewSubject) -> Vec<(String, Box<dyn ViewRenderer + '_>)> {
+    fn renderers(subject: &ViewSubject) -> Vec<NamedRenderer<'_>> {
         let cast = || RayCast::new(subject.surfaces.clone());
         vec![("one".to_owned(), Box::new(cast())), ("many".to_owned(), Box::new(cast().with_rays(8)))]
     }
