@@ -35,7 +35,8 @@ pub fn filter(gbuffer: &GBuffer, irradiance: &[[f32; 3]], options: &FilterOption
         let (x, y) = (index as i64 % width, index as i64 / width);
         let (at, normal) = (Vec3::from(center.position), Vec3::from(center.normal));
         // A surface may bend by a pixel's width for each pixel of the way.
-        let bend = 1.0 / (center.depth * options.spread as f32 * (radius.max(1) as f32)).max(f32::MIN_POSITIVE);
+        let bend =
+            1.0 / (center.depth * options.spread as f32 * (radius.max(1) as f32)).max(f32::MIN_POSITIVE);
         let (mut sum, mut weights) = (Vec3::ZERO, 0.0f32);
         for v in (y - radius).max(0)..=(y + radius).min(height - 1) {
             for u in (x - radius).max(0)..=(x + radius).min(width - 1) {

@@ -218,11 +218,15 @@ impl<'a> Gather<'a> {
             for (&view, &map) in maps.views().iter().zip(maps.map_of()) {
                 places[view as usize] = if map == ViewMaps::NO_MAP { UNSHADOWED } else { map };
             }
-            self.add(&mut found, |pixel, position, light| match places[light as usize] {
-                ELSEWHERE => None,
-                UNSHADOWED => Some(false),
-                map => Some(is_hidden(&maps, map as usize, position, pixel.geometric_normal, bias)),
-            }, bias);
+            self.add(
+                &mut found,
+                |pixel, position, light| match places[light as usize] {
+                    ELSEWHERE => None,
+                    UNSHADOWED => Some(false),
+                    map => Some(is_hidden(&maps, map as usize, position, pixel.geometric_normal, bias)),
+                },
+                bias,
+            );
             found.passes += 1;
             progress.advance(maps.views().len() as u64);
             gather_time += clock.elapsed();
@@ -234,6 +238,15 @@ impl<'a> Gather<'a> {
         found.gather_time = gather_time;
         found.map_time = clock.elapsed().saturating_sub(gather_time);
         Ok(found)
+    }
+
+    /// Lights the pixels as if nothing hid any light.
+    pub fn unshadowed(&self) -> Gathered {
+        let mut found = self.empty();
+        let clock = Instant::now();
+        self.add(&mut found, |_, _, _| Some(false), &Bias::new(0.0));
+        found.gather_time = clock.elapsed();
+        found
     }
 
     /// Adds what lights give of which `test` says whether a pixel's lifted position does not see them; `None` for

@@ -181,7 +181,8 @@ pub(super) struct ChoiceRule {
 fn key([x, y, z]: [u32; 3], normal: [f32; 3]) -> u64 {
     let mut code = 0;
     for bit in (0..AXIS_BITS).rev() {
-        code = code << 3 | u64::from(z >> bit & 1) << 2 | u64::from(y >> bit & 1) << 1 | u64::from(x >> bit & 1);
+        code =
+            code << 3 | u64::from(z >> bit & 1) << 2 | u64::from(y >> bit & 1) << 1 | u64::from(x >> bit & 1);
     }
     let side = match Vec3::from(normal) {
         Vec3::ZERO => 6,
@@ -344,9 +345,11 @@ mod tests {
         let mut choices = Vec::new();
         let mut left_out = 0;
         for by_importance in [false, true] {
-            for (center, normal) in
-                [(Vec3::ZERO, Vec3::Y), (Vec3::new(9.0, 0.0, 0.0), Vec3::X), (Vec3::new(0.0, 2.0, 0.0), Vec3::Z)]
-            {
+            for (center, normal) in [
+                (Vec3::ZERO, Vec3::Y),
+                (Vec3::new(9.0, 0.0, 0.0), Vec3::X),
+                (Vec3::new(0.0, 2.0, 0.0), Vec3::Z),
+            ] {
                 let group = group(center, normal, 0.05);
                 let total = tree.choose(&group, &rule(by_importance), &mut choices);
                 assert_eq!(total, choices.iter().map(|c| c.count as usize).sum::<usize>());

@@ -46,10 +46,7 @@ pub(super) fn groups(gbuffer: &GBuffer, tile: u32, spread: f32) -> Vec<Receivers
             }
         }
     }
-    found
-        .into_iter()
-        .map(|(_, _, pixels)| Receivers { group: group(gbuffer, &pixels), pixels })
-        .collect()
+    found.into_iter().map(|(_, _, pixels)| Receivers { group: group(gbuffer, &pixels), pixels }).collect()
 }
 
 /// The sphere around pixels, and the directions in front of any of them.

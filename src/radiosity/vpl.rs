@@ -173,8 +173,7 @@ mod tests {
 
     /// A cube from −half to half without its sides of which `open` has bits (−x, +x, −y, +y, −z, +z).
     fn cube(half: f32, open: u32, material: Material) -> RenderScene {
-        let corner =
-            |c: u32| Vec3::from([0, 1, 2].map(|i| if c >> i & 1 == 1 { half } else { -half }));
+        let corner = |c: u32| Vec3::from([0, 1, 2].map(|i| if c >> i & 1 == 1 { half } else { -half }));
         let mut mesh = Mesh { positions: (0..8).map(corner).collect(), ..Mesh::default() };
         let sides = [[0, 2, 6, 4], [1, 3, 7, 5], [0, 1, 5, 4], [2, 3, 7, 6], [0, 1, 3, 2], [4, 5, 7, 6]];
         for (_, [a, b, c, d]) in sides.into_iter().enumerate().filter(|(i, _)| open >> i & 1 == 0) {

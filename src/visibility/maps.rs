@@ -225,8 +225,7 @@ mod tests {
     }
 
     fn ask(most: usize, receivers: &[Receiver], lights: &[LightPoint]) -> Vec<u32> {
-        let method =
-            MapVisibility::new(Wall { wall: 2.0, most }, ViewSettings::new(32), Bias::new(0.01));
+        let method = MapVisibility::new(Wall { wall: 2.0, most }, ViewSettings::new(32), Bias::new(0.01));
         let mut hidden = vec![7; receivers.len() * light_words(lights.len())];
         method.hidden_lights(receivers, lights, &mut hidden).unwrap();
         let mut again = hidden.clone();
@@ -248,8 +247,7 @@ mod tests {
             at(3.0, 4.0, back),
             at(1.0, 0.0, [1.0, 0.0, 0.0]),
         ];
-        let lights: Vec<LightPoint> =
-            [[0.0; 3], [0.5, 0.3, 0.0], [f32::NAN; 3]].map(LightPoint::at).to_vec();
+        let lights: Vec<LightPoint> = [[0.0; 3], [0.5, 0.3, 0.0], [f32::NAN; 3]].map(LightPoint::at).to_vec();
         let expected = vec![0, 0, 0, 3, 3, 0, 3];
         for most in [1, 2, 9] {
             assert_eq!(ask(most, &receivers, &lights), expected, "in passes of {most}");
