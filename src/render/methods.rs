@@ -8,6 +8,7 @@ use crate::Archive;
 use crate::exact::ExactRays;
 use crate::gpu::{GpuContext, GpuScene, StreamOptions, WgpuExecutor};
 use crate::manylods::SvoCuts;
+use crate::megaviews::MegaViews;
 use crate::rays::{self, RowTester, TestSettings};
 use crate::rivals::brickmap::{self, BrickmapVisibility};
 use crate::rivals::bvh::BvhVisibility;
@@ -44,6 +45,8 @@ pub enum Method {
     Brickmap,
     /// Imperfect shadow maps, on the CPU.
     Ism,
+    /// Maps from octree and lights' hierarchy at once, on the CPU.
+    MegaViews,
     /// Maps of a cut through the octree for each light, on the CPU.
     ManyLods,
     /// No shadows at all.
@@ -85,6 +88,7 @@ impl Method {
         (Self::WgslBvh, "wgsl-bvh"),
         (Self::Brickmap, "brickmap"),
         (Self::Ism, "ism"),
+        (Self::MegaViews, "megaviews"),
         (Self::ManyLods, "manylods"),
         (Self::None, "none"),
     ];
@@ -96,7 +100,7 @@ impl Method {
 
     /// Whether it reads an archive.
     pub fn needs_archive(self) -> bool {
-        self.needs_rows() || matches!(self, Self::Brickmap | Self::ManyLods)
+        self.needs_rows() || matches!(self, Self::Brickmap | Self::MegaViews | Self::ManyLods)
     }
 
     /// Whether it reads an archive's rows.
@@ -106,7 +110,7 @@ impl Method {
 
     /// Whether it draws a map for each light, and so answers for lights only, not for segments.
     pub fn draws_maps(self) -> bool {
-        matches!(self, Self::Ism | Self::ManyLods)
+        matches!(self, Self::Ism | Self::MegaViews | Self::ManyLods)
     }
 
     /// Whether it runs on a GPU alone, be it a software one.
@@ -164,10 +168,13 @@ fn make_renderer<'a>(
             let bias = Bias::new(ingredients.scene.extent() as f32 / 1024.0);
             (Box::new(IsmVisibility::new(ingredients.exact.reference(), options)), bias)
         }
-        Method::ManyLods => {
+        Method::MegaViews | Method::ManyLods => {
             let tree = tree()?;
             let bias = Bias::new(tree.voxel_size());
-            (Box::new(SvoCuts::new(tree)), bias)
+            match method {
+                Method::MegaViews => (Box::new(MegaViews::new(tree)), bias),
+                _ => (Box::new(SvoCuts::new(tree)), bias),
+            }
         }
         _ => return Err("it draws no maps".into()),
     })
@@ -205,7 +212,7 @@ fn make<'a>(method: Method, ingredients: &Ingredients<'a>) -> Result<Box<dyn Vis
             }
         }
         Method::Ism => Box::new(IsmVisibility::new(reference, IsmOptions::default())),
-        Method::ManyLods => {
+        Method::MegaViews | Method::ManyLods => {
             let (renderer, bias) = make_renderer(method, ingredients)?;
             Box::new(MapVisibility::new(renderer, ingredients.maps, bias))
         }
