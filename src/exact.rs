@@ -49,6 +49,11 @@ impl<'a, R: Borrow<Reference<'a>>> ExactRays<'a, R> {
         self.reference.borrow()
     }
 
+    /// How far an origin with a normal is lifted along it, metres.
+    pub fn lift_metres(&self) -> f64 {
+        self.lift_metres
+    }
+
     /// Both ends of a testable segment in `f64`, the origin lifted; `None` where it passes the scene by. Ends
     /// outside are brought to the scene's bounds, since the BVH's `f32` cannot tell far ones apart; the number is how
     /// far the origin has come, metres.

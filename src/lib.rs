@@ -12,6 +12,8 @@ pub mod manylods;
 pub mod megaviews;
 pub mod npy;
 pub mod preview;
+#[cfg(feature = "bake")]
+pub mod radiosity;
 pub mod rays;
 #[cfg(feature = "bake")]
 pub mod reference;

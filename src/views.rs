@@ -171,6 +171,21 @@ pub trait ViewRenderer: Sync {
     }
 }
 
+impl<R: ViewRenderer + ?Sized> ViewRenderer for Box<R> {
+    fn name(&self) -> &'static str {
+        (**self).name()
+    }
+
+    fn render_passes(
+        &self,
+        views: &[View],
+        settings: &ViewSettings,
+        sink: &mut PassSink<'_>,
+    ) -> Result<(), ViewError> {
+        (**self).render_passes(views, settings, sink)
+    }
+}
+
 #[cfg(test)]
 mod tests {
     use super::*;

@@ -148,8 +148,8 @@ fn lights_come_from_where_they_are_said_to() {
     fs_err::write(&lights, "[{}]").unwrap();
     let (_, stderr) = render(3, &["--lights", text(&lights), "-o", text(&png)]);
     assert!(stderr.contains("lights.json") && stderr.contains("`position` is missing"), "{stderr}");
-    let (_, stderr) = render(2, &["--lights", "vpl:100", "-o", text(&png)]);
-    assert!(stderr.contains("virtual point lights"), "{stderr}");
+    let (_, stderr) = render(2, &["--lights", "vpl:0", "-o", text(&png)]);
+    assert!(stderr.contains("vpl:N:BOUNCES"), "{stderr}");
     // A scene without lights says what it takes instead.
     let bare = folder.path().join("bare.glb");
     manyview_pipeline::glb::write_glb(
@@ -242,4 +242,43 @@ fn pictures_that_cannot_be_compared_are_refused() {
         &["compare", text(&plain), text(&plain), "--light-bits", text(&archive), text(&archive)],
     );
     assert!(stderr.contains("how many lights"), "{stderr}");
+}
+
+#[test]
+fn virtual_lights_by_maps_are_like_exact_ones() {
+    let folder = tempfile::tempdir().unwrap();
+    let at = |name: &str| folder.path().join(name);
+    let (scene, archive) = (at("s.glb"), at("a.mvb"));
+    expect_exit(0, &["scene", "town", "--triangles", "2000", "-o", text(&scene)]);
+    expect_exit(0, &["bake", text(&scene), "-o", text(&archive), "--levels", "9", "--rows", "0"]);
+    let of = |method: &str, more: &[&str]| {
+        let exr = at(&format!("{method}.exr"));
+        let bake = ["--lights", "vpl:300:2", "--indirect-only", "--visibility", method, "--exposure", "0"];
+        let files = ["--bake", text(&archive), "-o", text(&exr), "--format", "json"];
+        let (stdout, _) = render(0, &[&bake[..], &files, more].concat());
+        let told: Value = serde_json::from_str(&stdout).unwrap();
+        assert!((299..=300).contains(&told["lights"].as_u64().unwrap()), "{stdout}");
+        assert!(told["gathered"]["seconds"]["gather"].is_number());
+        (exr, told["mean_shadow"].as_f64().unwrap())
+    };
+    let (exact, exact_shadow) = of("raytrace", &["--vpl-samples", "all"]);
+    assert!(exact_shadow > 0.05);
+    for (method, more) in [
+        ("megaviews", &["--resolution", "32"][..]),
+        ("manylods", &["--resolution", "32", "--vpl-samples", "all"]),
+        ("ism", &["--resolution", "32"]),
+        ("none", &[]),
+    ] {
+        let (exr, shadow) = of(method, more);
+        let found = json(&["compare", text(&exact), text(&exr)]);
+        let psnr = found["psnr_db"].as_f64().unwrap();
+        eprintln!("{method}: {psnr} dB, shadow {shadow}, exactly {exact_shadow}");
+        match method {
+            "none" => assert_eq!(shadow, 0.0),
+            _ => assert!((shadow - exact_shadow).abs() < 0.2, "{method}: {shadow} {exact_shadow}"),
+        }
+    }
+    let (_, stderr) =
+        render(2, &["--lights", "vpl:9", "-o", text(&at("p.png")), "--light-bits", text(&at("b.npy"))]);
+    assert!(stderr.contains("--light-bits"), "{stderr}");
 }

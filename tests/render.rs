@@ -63,7 +63,13 @@ fn draw(
     lights: &[PunctualLight],
 ) -> (GBuffer, LitImage, Vec<u32>) {
     let exact = ExactRays::new(scene.reference());
-    let ingredients = Ingredients { scene, exact: &exact, archive: None, gpu: None };
+    let ingredients = Ingredients {
+        scene,
+        exact: &exact,
+        archive: None,
+        gpu: None,
+        maps: manyview::views::ViewSettings::default(),
+    };
     let method = visibility(Method::RayTrace, &ingredients).unwrap();
     let gbuffer = GBuffer::cast(scene, exact.reference(), camera, size, &Silent).unwrap();
     let mut bits = Vec::new();

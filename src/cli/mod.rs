@@ -8,6 +8,7 @@ mod cancel;
 mod compare;
 mod diff;
 mod error;
+mod gather;
 mod inspect;
 mod output;
 mod preview;

@@ -281,7 +281,7 @@ impl From<VisibilityError> for CliError {
     fn from(error: VisibilityError) -> Self {
         let exit = match error {
             VisibilityError::Unsupported { .. } => Exit::Usage,
-            VisibilityError::Device(_) => Exit::Internal,
+            VisibilityError::Device(_) | VisibilityError::Views(_) => Exit::Internal,
         };
         Self::new(exit, error)
     }

@@ -11,13 +11,15 @@ use manyview::exact::ExactRays;
 use manyview::gpu::{AdapterChoice, GpuContext, StreamError};
 use manyview::npy;
 use manyview::preview::{Camera, CameraChoice, PictureFormat, write_picture};
+use manyview::radiosity::{Primaries, VplOptions};
 use manyview::render::gbuffer::{GBuffer, MAX_PIXELS, MAX_SIDE};
 use manyview::render::glow::glow;
-use manyview::render::image::{Exposure, LitImage, Provenance, RenderError, picture, render};
-use manyview::render::lights::{DEFAULT_LIGHTS, LightSource, MAX_LIGHTS};
+use manyview::render::image::{Exposure, LitImage, Provenance, RenderError, picture, render_with};
+use manyview::render::lights::{DEFAULT_LIGHTS, LightSource, MAX_GATHERED_LIGHTS, MAX_LIGHTS};
 use manyview::render::methods::{Ingredients, Method, MethodError, visibility};
 use manyview::render::raster;
 use manyview::render::scene::{RenderScene, SceneError};
+use manyview::render::shade::Lighting;
 use manyview::visibility::{Visibility, light_words};
 use manyview::{Archive, LoadError};
 use manyview_cache::atomic::AtomicFile;
@@ -26,12 +28,13 @@ use manyview_pipeline::generate::generate;
 use manyview_pipeline::import::{ImportOptions, import};
 use manyview_pipeline::run::RunError;
 use manyview_pipeline::scene::PunctualLight;
-use serde_json::json;
+use serde_json::{Value, json};
 
 use super::Format;
 use super::camera_file::{describe, read_camera};
 use super::cancel;
 use super::error::{CliError, CliResult, Exit};
+use super::gather;
 use super::output::{bytes, count, counted, print, print_json};
 use super::progress::Progress;
 
@@ -45,11 +48,12 @@ pub(crate) struct Options {
     /// The scene's archive, for methods that read one; without it the scene is baked in memory
     #[arg(long, value_name = "A.mvb")]
     bake: Option<PathBuf>,
-    /// `scene` (the glTF's lights), a file, `random:N[:SEED]` or `particles:N[:SEED]`
+    /// `scene` (the glTF's lights), a file, `random:N[:SEED]`, `particles:N[:SEED]`, or `vpl:N[:BOUNCES[:SEED]]`: the scene's
+    /// lights and what surfaces send on of their light, by N virtual lights
     /// [default: the glTF's lights, or random:256 where it has none]
     #[arg(long, value_name = "LIGHTS", value_parser = LightSource::from_str)]
     lights: Option<LightSource>,
-    /// How segments to lights are tested
+    /// How it is found which lights a surface sees
     #[arg(long, value_name = "METHOD", default_value = "raytrace", value_parser = Method::from_str)]
     visibility: Method,
     /// `auto` (from inside where the scene is mostly rooms), `inside`, or a file
@@ -74,6 +78,8 @@ pub(crate) struct Options {
     /// What finds the surfaces of the pixels and runs the method, if it can run there; `auto` takes a GPU if it is not a software one
     #[arg(long, value_enum, default_value_t = Backend::Auto)]
     backend: Backend,
+    #[command(flatten)]
+    gather: gather::Arguments,
     /// Seconds into the first animation; without it the rest pose is drawn
     #[arg(long, value_name = "SECONDS")]
     time: Option<f64>,
@@ -152,15 +158,49 @@ fn draw(options: &Options, formats: &[PictureFormat], progress: &Progress) -> Cl
     cancel::check()?;
     let exact = ExactRays::new(scene.reference());
     cancel::check()?;
-    let lights = lights_of(options, &scene, &exact)?;
+    let maps = options.gather.maps()?;
     let camera = camera_of(options, &scene)?;
     cancel::check()?;
+    let mut lights = lights_of(options, &scene, &exact)?;
+    let vpls = vpl_options(options);
+    if vpls.is_some() && Primaries::new(&scene, exact.reference(), &lights).are_dark() {
+        tell(
+            options.format,
+            "note",
+            "the scene has no lights of its own, and nothing glows: one light in view is taken",
+        );
+        lights = vec![gather::default_light(&scene, &exact, &camera)];
+    }
     let gpu = open_gpu(options.backend, options.visibility)?;
     let ingredients =
-        Ingredients { scene: &scene, exact: &exact, archive: archive.as_ref(), gpu: gpu.as_ref() };
-    let method = visibility(options.visibility, &ingredients).map_err(method_error)?;
+        Ingredients { scene: &scene, exact: &exact, archive: archive.as_ref(), gpu: gpu.as_ref(), maps };
     let [width, height] = options.size.0;
-    announce(options, &lights);
+    let (small_lights, path_seconds) = match &vpls {
+        Some(vpls) => {
+            let (found, seconds) = gather::virtual_lights(&scene, &exact, &lights, vpls);
+            if found.is_empty() {
+                tell(
+                    options.format,
+                    "warning",
+                    "no light reaches any surface that sends some on: there are no virtual lights",
+                );
+            }
+            (Some(found), seconds)
+        }
+        None if lights.len() > MAX_LIGHTS => (Some(gather::as_points(&lights)?), 0.0),
+        None => (None, 0.0),
+    };
+    if small_lights.is_some() && options.light_bits.is_some() {
+        let message =
+            "--light-bits says which of all lights a pixel sees; here each is lit by a choice of lights";
+        return Err(CliError::usage(message));
+    }
+    // The few that virtual lights come from are tested exactly.
+    let few = if options.visibility == Method::None { Method::None } else { Method::RayTrace };
+    let light_method = if small_lights.is_some() { few } else { options.visibility };
+    let method = visibility(light_method, &ingredients).map_err(method_error)?;
+    let light_count = small_lights.as_ref().map_or(lights.len(), Vec::len);
+    announce(options, light_count, small_lights.is_some());
 
     // What cannot be written is not worth the work.
     for output in options.output.iter() {
@@ -170,17 +210,52 @@ fn draw(options: &Options, formats: &[PictureFormat], progress: &Progress) -> Cl
         Some(path) => Some(BitsFile::create(path, [width, height], lights.len())?),
         None => None,
     };
-    let prepared = clock.elapsed().as_secs_f64();
+    let prepared = clock.elapsed().as_secs_f64() - path_seconds;
     let gbuffer = gbuffer(&scene, &exact, &camera, [width, height], gpu.as_ref(), progress)?;
     cancel::check()?;
-    let surfaces = clock.elapsed().as_secs_f64();
-    let image = light(&scene, &gbuffer, &lights, &*method, bits.as_mut(), progress)?;
-    let lit = clock.elapsed().as_secs_f64();
-    let exposure_stops = image.stops(options.exposure);
+    let surfaces = clock.elapsed().as_secs_f64() - path_seconds;
     let surface_count = gbuffer.surface_count();
+    let mut lighting = Lighting::new(&lights, &scene);
+    let direct_lights: &[PunctualLight] = match (&small_lights, &vpls) {
+        (None, _) => &lights,
+        (Some(_), Some(_)) if !options.gather.indirect_only => &lights,
+        (Some(_), _) => &[],
+    };
+    let mut image = match (&small_lights, direct_lights.is_empty()) {
+        (Some(_), true) => LitImage::dark(&gbuffer, !options.gather.indirect_only),
+        (small, _) => {
+            if small.is_some() {
+                lighting = lighting.without_ambient();
+            }
+            light(&lighting, &scene, &gbuffer, direct_lights, &*method, bits.as_mut(), progress)?
+        }
+    };
+    let mut pairs = surface_count as u64 * direct_lights.len() as u64;
+    let lit = clock.elapsed().as_secs_f64() - path_seconds;
+    let mut gathered = Value::Null;
+    if let Some(small_lights) = &small_lights {
+        let spread = camera.ray_maker(width, height)?.pixel_spread();
+        let light = gather::gather(
+            &options.gather,
+            options.visibility,
+            &ingredients,
+            &gbuffer,
+            spread,
+            small_lights,
+            progress,
+        )?;
+        image.add(&gbuffer, &light.irradiance);
+        if direct_lights.is_empty() {
+            image.shadow = light.shadow;
+        }
+        pairs += light.tests;
+        gathered = light.report;
+    }
+    let done = clock.elapsed().as_secs_f64() - path_seconds;
+    let exposure_stops = image.stops(options.exposure);
     let mean_shadow = image.shadow.iter().map(|&s| f64::from(s)).sum::<f64>() / surface_count.max(1) as f64;
     let provenance =
-        Provenance { visibility: options.visibility.name(), lights: lights.len(), exposure_stops };
+        Provenance { visibility: options.visibility.name(), lights: light_count, exposure_stops };
     let glow = match options.show_lights {
         true => glow(&gbuffer, &camera, &lights, scene.radius())?,
         false => Vec::new(),
@@ -194,8 +269,7 @@ fn draw(options: &Options, formats: &[PictureFormat], progress: &Progress) -> Cl
         bits.finish()?;
     }
     progress.finish();
-    let pairs = surface_count as u64 * lights.len() as u64;
-    let seconds = lit - surfaces;
+    let seconds = done - surfaces;
     let paths: Vec<String> = options.output.iter().map(|path| path.display().to_string()).collect();
     match options.format {
         Format::Json => print_json(&json!({
@@ -204,18 +278,26 @@ fn draw(options: &Options, formats: &[PictureFormat], progress: &Progress) -> Cl
             "width": width,
             "height": height,
             "surface_pixels": surface_count,
-            "lights": lights.len(),
+            "lights": light_count,
+            "primary_lights": vpls.is_some().then_some(lights.len()),
             "segments": pairs,
+            "gathered": gathered,
             "mean_shadow": mean_shadow,
             "exposure_stops": exposure_stops,
             "surfaces_on": gpu.as_ref().map_or("cpu", |gpu| gpu.name()),
-            "seconds": { "prepare": prepared, "surfaces": surfaces - prepared, "lights": seconds },
+            "seconds": {
+                "prepare": prepared,
+                "surfaces": surfaces - prepared,
+                "paths": path_seconds,
+                "lights": lit - surfaces,
+                "gather": done - lit,
+            },
         }))?,
         Format::Text => print(&format!(
             "{}: {width} × {height} pixels, {}, {:.1}% of segments hidden, exposure {exposure_stops:+.2} stops; {} \
              segments in {seconds:.1} s\n",
             paths.join(", "),
-            counted(lights.len() as u64, "light"),
+            counted(light_count as u64, "light"),
             mean_shadow * 100.0,
             count(pairs),
         ))?,
@@ -304,8 +386,12 @@ fn archive_of(options: &Options, scene: &RenderScene) -> Result<Option<Archive>,
         "note",
         "no --bake was given: the scene is baked in memory with the default settings",
     );
-    let bytes = bake_in_memory(&scene.scene, &BakeOptions::default())
-        .map_err(|source| scene_error(options, source.into()))?;
+    let mut bake_options = BakeOptions::default();
+    if !options.visibility.needs_rows() {
+        bake_options.rows = None;
+    }
+    let bytes =
+        bake_in_memory(&scene.scene, &bake_options).map_err(|source| scene_error(options, source.into()))?;
     Ok(Some(Archive::from_bytes(bytes)?))
 }
 
@@ -337,22 +423,26 @@ fn lights_of(
     exact: &ExactRays<'_>,
 ) -> Result<Vec<PunctualLight>, CliError> {
     let source = match &options.lights {
-        Some(source) => source.clone(),
+        Some(LightSource::Virtual { .. }) if options.gather.primary.is_some() => {
+            options.gather.primary.clone().unwrap_or(LightSource::Scene)
+        }
         None if scene.scene.lights.is_empty() => {
             let message = "the scene has no lights of its own: --lights random:256 is taken";
             tell(options.format, "note", message);
             DEFAULT_LIGHTS
         }
+        Some(source) => source.clone(),
         None => LightSource::Scene,
     };
+    let is_virtual = matches!(options.lights, Some(LightSource::Virtual { .. }));
     let lights =
         source.lights(scene, exact.reference()).map_err(|error| CliError::new(Exit::BadInput, error))?;
-    if lights.is_empty() {
+    if lights.is_empty() && !is_virtual {
         tell(options.format, "warning", "there are no lights: the picture shows ambient light only");
     }
-    if lights.len() > MAX_LIGHTS {
+    if lights.len() > if is_virtual { MAX_LIGHTS } else { MAX_GATHERED_LIGHTS } {
         let message = format!(
-            "{}: {} lights are more than {MAX_LIGHTS}; name some with --lights",
+            "{}: {} lights are too many; name some with --lights, or with --primary",
             scene_name(&options.scene),
             lights.len()
         );
@@ -386,16 +476,22 @@ fn open_gpu(backend: Backend, method: Method) -> Result<Option<GpuContext>, CliE
     }
 }
 
-fn announce(options: &Options, lights: &[PunctualLight]) {
+/// The virtual lights that are asked for.
+fn vpl_options(options: &Options) -> Option<VplOptions> {
+    let Some(LightSource::Virtual { count, bounces, seed }) = options.lights else { return None };
+    Some(VplOptions { count, bounces, seed, indirect_only: options.gather.indirect_only })
+}
+
+fn announce(options: &Options, lights: usize, is_gathered: bool) {
     let [width, height] = options.size.0;
     let pixels = u64::from(width) * u64::from(height);
-    let segments = pixels * lights.len() as u64;
-    let bits = pixels * 4 * light_words(lights.len()) as u64;
+    let segments = pixels * options.gather.most_samples(lights, is_gathered) as u64;
+    let bits = pixels * 4 * light_words(lights) as u64;
     if options.format == Format::Json {
         let event = json!({
             "event": "estimate",
             "pixels": pixels,
-            "lights": lights.len(),
+            "lights": lights,
             "segments": segments,
             "light_bits_bytes": options.light_bits.as_ref().map(|_| bits),
         });
@@ -410,7 +506,7 @@ fn announce(options: &Options, lights: &[PunctualLight]) {
         "{:>12}  {} pixels × {} = at most {} segments by {}{file}; memory about {} besides the scene",
         "about to draw",
         count(pixels),
-        counted(lights.len() as u64, "light"),
+        counted(lights as u64, "light"),
         count(segments),
         options.visibility,
         bytes(pixels * 100 + (80 << 20)),
@@ -436,6 +532,7 @@ fn gbuffer(
 }
 
 fn light(
+    lighting: &Lighting,
     scene: &RenderScene,
     gbuffer: &GBuffer,
     lights: &[PunctualLight],
@@ -446,9 +543,9 @@ fn light(
     let result = match bits {
         Some(bits) => {
             let mut sink = |words: &[u32]| npy::write_elements(&mut bits.file, words);
-            render(scene, gbuffer, lights, method, Some(&mut sink), progress)
+            render_with(lighting, scene, gbuffer, lights, method, Some(&mut sink), progress)
         }
-        None => render(scene, gbuffer, lights, method, None, progress),
+        None => render_with(lighting, scene, gbuffer, lights, method, None, progress),
     };
     result.map_err(|error| {
         let exit = match &error {
@@ -489,7 +586,7 @@ impl BitsFile {
     }
 }
 /// What is wrong with an archive keeps its own exit code.
-fn method_error(error: MethodError) -> CliError {
+pub(super) fn method_error(error: MethodError) -> CliError {
     let load = error.source.downcast_ref::<LoadError>().or_else(|| {
         match error.source.downcast_ref::<StreamError>() {
             Some(StreamError::Load(load)) => Some(load),

@@ -122,8 +122,7 @@ impl GBuffer {
         progress: &dyn Progress,
         find: impl Fn(usize, DVec3, DVec3) -> Option<Hit> + Sync,
     ) -> Self {
-        let looks =
-            Looks { scene, reference, textures: Textures::new(&scene.scene), spread: rays.pixel_spread() };
+        let looks = Looks::new(scene, reference, rays.pixel_spread());
         let width = size[0] as usize;
         let mut pixels = vec![Pixel::EMPTY; width * size[1] as usize];
         progress.begin("g-buffer", u64::from(size[1]), "rows");
@@ -174,7 +173,7 @@ fn plane_hit(reference: &Reference<'_>, triangle: u32, origin: DVec3, direction:
 }
 
 /// Looks surfaces up.
-struct Looks<'a> {
+pub(crate) struct Looks<'a> {
     scene: &'a RenderScene,
     reference: &'a Reference<'a>,
     textures: Textures,
@@ -182,8 +181,14 @@ struct Looks<'a> {
     spread: f64,
 }
 
-impl Looks<'_> {
-    fn pixel(&self, hit: &Hit, origin: DVec3, direction: DVec3) -> Pixel {
+impl<'a> Looks<'a> {
+    /// For pixels that are `spread` metres wide per metre of distance.
+    pub(crate) fn new(scene: &'a RenderScene, reference: &'a Reference<'a>, spread: f64) -> Self {
+        Self { scene, reference, textures: Textures::new(&scene.scene), spread }
+    }
+
+    /// What a ray from `origin` along `direction` sees at `hit`.
+    pub(crate) fn pixel(&self, hit: &Hit, origin: DVec3, direction: DVec3) -> Pixel {
         let corners = &self.reference.triangles()[hit.triangle as usize];
         let source = self.reference.sources()[hit.triangle as usize];
         let scene = &self.scene.scene;

@@ -58,12 +58,24 @@ pub fn render(
     gbuffer: &GBuffer,
     lights: &[PunctualLight],
     method: &dyn Visibility,
+    bits: Option<&mut BitSink<'_>>,
+    progress: &dyn Progress,
+) -> Result<LitImage, RenderError> {
+    render_with(&Lighting::new(lights, scene), scene, gbuffer, lights, method, bits, progress)
+}
+
+/// [`render`] with the lighting of these lights as it has been prepared.
+pub fn render_with(
+    lighting: &Lighting,
+    scene: &RenderScene,
+    gbuffer: &GBuffer,
+    lights: &[PunctualLight],
+    method: &dyn Visibility,
     mut bits: Option<&mut BitSink<'_>>,
     progress: &dyn Progress,
 ) -> Result<LitImage, RenderError> {
     let words = light_words(lights.len());
     let points = light_points(lights, scene);
-    let lighting = Lighting::new(lights, scene);
     let count = gbuffer.pixels.len();
     let mut image =
         LitImage { radiance: vec![[0.0; 3]; count], shadow: vec![0.0; count], direct: vec![0.0; count] };
@@ -166,6 +178,30 @@ impl Exposure {
 }
 
 impl LitImage {
+    /// The picture without any light but what glows, or without that too.
+    pub fn dark(gbuffer: &GBuffer, glows: bool) -> Self {
+        let emissive = |pixel: &Pixel| if glows { pixel.emissive } else { [0.0; 3] };
+        let count = gbuffer.pixels.len();
+        Self {
+            radiance: gbuffer.pixels.iter().map(emissive).collect(),
+            shadow: vec![0.0; count],
+            direct: vec![0.0; count],
+        }
+    }
+
+    /// Adds what surfaces send back of more light, an irradiance for each pixel.
+    ///
+    /// # Panics
+    /// If there is not one for each pixel.
+    pub fn add(&mut self, gbuffer: &GBuffer, irradiance: &[[f32; 3]]) {
+        assert_eq!(gbuffer.pixels.len(), irradiance.len(), "an irradiance for each pixel");
+        for (i, pixel) in gbuffer.pixels.iter().enumerate() {
+            let more = reflected(pixel, irradiance[i].into());
+            self.radiance[i] = (Vec3::from(self.radiance[i]) + more).to_array();
+            self.direct[i] += luminance(more);
+        }
+    }
+
     /// Stops for this picture: automatic ones go by what lights reach, or by all that is not black where they reach
     /// nothing.
     pub fn stops(&self, exposure: Exposure) -> f32 {

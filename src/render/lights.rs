@@ -8,17 +8,21 @@ pub use super::lights_file::LightsFileError;
 use super::lights_file::read_lights;
 use super::scene::RenderScene;
 use crate::bench::Random;
+use crate::radiosity::MAX_BOUNCES;
 use crate::reference::{Reference, area_normal};
 use crate::visibility::LightPoint;
 use glam::{DVec3, Vec3};
 use manyview_pipeline::scene::{LightKind, PunctualLight};
 use manyview_shaders::trig::sin_cos;
 use std::f64::consts::TAU;
+use std::ops::RangeInclusive;
 use std::path::PathBuf;
 use std::str::FromStr;
 
-/// The most lights of a picture.
+/// The most lights of a picture that every pixel is lit by; of more it takes a choice ([`crate::radiosity`]).
 pub const MAX_LIGHTS: usize = 100_000;
+/// The most lights of a picture at all.
+pub const MAX_GATHERED_LIGHTS: usize = crate::radiosity::MAX_VIRTUAL_LIGHTS;
 /// Generated when a scene has no lights and none are asked for.
 pub const DEFAULT_LIGHTS: LightSource = LightSource::Random { count: 256, seed: 1 };
 /// Sum of the intensities of generated lights, candela per square metre of the scene's squared radius.
@@ -50,6 +54,15 @@ pub enum LightSource {
         /// Another seed gives other lights.
         seed: u64,
     },
+    /// The scene's own lights, and virtual ones for what surfaces send on of their light.
+    Virtual {
+        /// How many virtual ones.
+        count: usize,
+        /// Surfaces that light goes on from.
+        bounces: u32,
+        /// Another seed gives other virtual lights.
+        seed: u64,
+    },
 }
 
 impl FromStr for LightSource {
@@ -58,27 +71,23 @@ impl FromStr for LightSource {
     fn from_str(text: &str) -> Result<Self, String> {
         let Some((kind, rest)) = text.split_once(':') else {
             return match text {
-                "" => Err("name a file, `scene`, random:N or particles:N".to_owned()),
+                "" => Err("name a file, `scene`, random:N, particles:N or vpl:N".to_owned()),
                 "scene" => Ok(Self::Scene),
-                "random" | "particles" => Err(format!("say how many: {text}:1024")),
+                "random" | "particles" | "vpl" => Err(format!("say how many: {text}:1024")),
                 file => Ok(Self::File(file.into())),
             };
         };
         if kind == "vpl" {
-            return Err(
-                "virtual point lights (vpl:N) are not made by this version; use particles:N, random:N or a \
-                        file of lights"
-                    .to_owned(),
-            );
+            return Self::virtual_lights(rest);
         }
         if kind != "random" && kind != "particles" {
             return Ok(Self::File(text.into()));
         }
         let (count, seed) = rest.split_once(':').unwrap_or((rest, "1"));
-        let count = count.parse().ok().filter(|count| (1..=MAX_LIGHTS).contains(count));
+        let count = count.parse().ok().filter(|count| (1..=MAX_GATHERED_LIGHTS).contains(count));
         let (Some(count), Ok(seed)) = (count, seed.parse()) else {
             return Err(format!(
-                "write {kind}:N or {kind}:N:SEED, as in {kind}:1024:7, of 1 to {MAX_LIGHTS} lights"
+                "write {kind}:N or {kind}:N:SEED, as in {kind}:1024:7, of 1 to {MAX_GATHERED_LIGHTS} lights"
             ));
         };
         Ok(match kind {
@@ -89,14 +98,34 @@ impl FromStr for LightSource {
 }
 
 impl LightSource {
-    /// The lights, in a fixed order.
+    fn virtual_lights(text: &str) -> Result<Self, String> {
+        let mut parts = text.split(':');
+        let mut number = |default: Option<u64>, range: RangeInclusive<u64>| match parts.next() {
+            Some(part) => part.parse().ok().filter(|number| range.contains(number)),
+            None => default,
+        };
+        let count = number(None, 1..=MAX_GATHERED_LIGHTS as u64);
+        let bounces = number(Some(1), 1..=u64::from(MAX_BOUNCES));
+        let seed = number(Some(1), 0..=u64::MAX);
+        match (count, bounces, seed, parts.next()) {
+            (Some(count), Some(bounces), Some(seed), None) => {
+                Ok(Self::Virtual { count: count as usize, bounces: bounces as u32, seed })
+            }
+            _ => Err(format!(
+                "write vpl:N, vpl:N:BOUNCES or vpl:N:BOUNCES:SEED, as in vpl:65536:4, of 1 to {MAX_GATHERED_LIGHTS} lights \
+                 and 1 to {MAX_BOUNCES} bounces"
+            )),
+        }
+    }
+
+    /// The lights, in a fixed order; of virtual ones those that they come from.
     pub fn lights(
         &self,
         scene: &RenderScene,
         reference: &Reference<'_>,
     ) -> Result<Vec<PunctualLight>, LightsFileError> {
         match self {
-            Self::Scene => Ok(scene.scene.lights.clone()),
+            Self::Scene | Self::Virtual { .. } => Ok(scene.scene.lights.clone()),
             Self::File(path) => read_lights(path),
             Self::Random { count, seed } => Ok(random(scene, *count, *seed)),
             Self::Particles { count, seed } => Ok(particles(scene, reference, *count, *seed)),
@@ -125,8 +154,8 @@ pub fn light_points(lights: &[PunctualLight], scene: &RenderScene) -> Vec<LightP
     lights.iter().map(point).collect()
 }
 
-/// Intensity of one of `count` generated lights, candela.
-fn intensity(scene: &RenderScene, count: usize) -> f32 {
+/// Mean intensity of one of `count` generated lights, candela.
+pub fn intensity(scene: &RenderScene, count: usize) -> f32 {
     (INTENSITY_PER_SQUARE_RADIUS * scene.radius().powi(2) / count as f64) as f32
 }
 
@@ -264,10 +293,18 @@ mod tests {
         assert_eq!(parse("scene"), Ok(LightSource::Scene));
         assert_eq!(parse("a/b.json"), Ok(LightSource::File("a/b.json".into())));
         assert_eq!(parse("C:\\b.json"), Ok(LightSource::File("C:\\b.json".into())));
-        for wrong in ["", "random", "random:", "random:0", "random:100001", "particles:9:x", "random:-1"] {
+        for wrong in ["", "random", "random:", "random:0", "random:1000001", "particles:9:x", "random:-1"] {
             assert!(parse(wrong).is_err(), "{wrong}");
         }
-        assert!(parse("vpl:1000").unwrap_err().contains("virtual point lights"));
+        let virtual_lights = |count, bounces, seed| Ok(LightSource::Virtual { count, bounces, seed });
+        assert_eq!(parse("vpl:1000"), virtual_lights(1000, 1, 1));
+        assert_eq!(parse("vpl:1000000:4"), virtual_lights(1_000_000, 4, 1));
+        assert_eq!(parse("vpl:7:2:9"), virtual_lights(7, 2, 9));
+        for wrong in
+            ["vpl", "vpl:", "vpl:0", "vpl:1000001", "vpl:9:0", "vpl:9:17", "vpl:9:1:x", "vpl:9:1:1:1"]
+        {
+            assert!(parse(wrong).is_err(), "{wrong}");
+        }
     }
 
     #[test]

@@ -7,15 +7,20 @@ use super::scene::RenderScene;
 use crate::Archive;
 use crate::exact::ExactRays;
 use crate::gpu::{GpuContext, GpuScene, StreamOptions, WgpuExecutor};
+use crate::manylods::SvoCuts;
+use crate::megaviews::MegaViews;
 use crate::rays::{self, RowTester, TestSettings};
 use crate::rivals::brickmap::{self, BrickmapVisibility};
 use crate::rivals::bvh::BvhVisibility;
 use crate::rivals::ism::{IsmOptions, IsmVisibility};
 use crate::rivals::wide_bvh::WideBvh;
-use crate::visibility::Visibility;
+use crate::views::{ViewRenderer, ViewSettings};
+use crate::visibility::{Bias, MapVisibility, NoShadows, Visibility};
 use manyview_shaders::executor::{Executor, ExecutorLimits};
+use manyview_shaders::scene_tree::SceneTree;
 use std::fmt;
 use std::str::FromStr;
+use std::sync::Arc;
 use thiserror::Error;
 
 /// The most GPU memory for the rows of an archive; where they do not fit, fewer directions are kept.
@@ -40,6 +45,12 @@ pub enum Method {
     Brickmap,
     /// Imperfect shadow maps, on the CPU.
     Ism,
+    /// Maps from octree and lights' hierarchy at once, on the CPU.
+    MegaViews,
+    /// Maps of a cut through the octree for each light, on the CPU.
+    ManyLods,
+    /// No shadows at all.
+    None,
 }
 
 /// What methods are made of; each takes what it needs.
@@ -52,6 +63,8 @@ pub struct Ingredients<'a> {
     pub archive: Option<&'a Archive>,
     /// A GPU, if one shall be used.
     pub gpu: Option<&'a GpuContext>,
+    /// How maps of lights are drawn, by methods that [draw them](Method::draws_maps).
+    pub maps: ViewSettings,
 }
 
 /// Why a method cannot be made.
@@ -75,6 +88,9 @@ impl Method {
         (Self::WgslBvh, "wgsl-bvh"),
         (Self::Brickmap, "brickmap"),
         (Self::Ism, "ism"),
+        (Self::MegaViews, "megaviews"),
+        (Self::ManyLods, "manylods"),
+        (Self::None, "none"),
     ];
 
     /// The name that [`FromStr`] reads.
@@ -84,7 +100,17 @@ impl Method {
 
     /// Whether it reads an archive.
     pub fn needs_archive(self) -> bool {
-        matches!(self, Self::Rows | Self::RowsFast | Self::WgslRows | Self::Brickmap)
+        self.needs_rows() || matches!(self, Self::Brickmap | Self::MegaViews | Self::ManyLods)
+    }
+
+    /// Whether it reads an archive's rows.
+    pub fn needs_rows(self) -> bool {
+        matches!(self, Self::Rows | Self::RowsFast | Self::WgslRows)
+    }
+
+    /// Whether it draws a map for each light, and so answers for lights only, not for segments.
+    pub fn draws_maps(self) -> bool {
+        matches!(self, Self::Ism | Self::MegaViews | Self::ManyLods)
     }
 
     /// Whether it runs on a GPU alone, be it a software one.
@@ -119,6 +145,41 @@ pub fn visibility<'a>(
     make(method, ingredients).map_err(|source| MethodError { method, source })
 }
 
+/// What draws the maps of a method that [draws them](Method::draws_maps), and the bias of receivers against them.
+pub fn map_renderer<'a>(
+    method: Method,
+    ingredients: &Ingredients<'a>,
+) -> Result<(Box<dyn ViewRenderer + 'a>, Bias), MethodError> {
+    make_renderer(method, ingredients).map_err(|source| MethodError { method, source })
+}
+
+fn make_renderer<'a>(
+    method: Method,
+    ingredients: &Ingredients<'a>,
+) -> Result<(Box<dyn ViewRenderer + 'a>, Bias), Failure> {
+    let tree = || -> Result<Arc<SceneTree>, Failure> {
+        let archive = ingredients.archive.ok_or("it reads an archive: give one")?;
+        Ok(Arc::new(SceneTree::new(&archive.svo()?, false)))
+    };
+    Ok(match method {
+        Method::Ism => {
+            let options = IsmOptions { resolution: ingredients.maps.resolution, ..IsmOptions::default() };
+            // It has no voxels; points on a light's own surface must not hide what it lights.
+            let bias = Bias::new(ingredients.scene.extent() as f32 / 1024.0);
+            (Box::new(IsmVisibility::new(ingredients.exact.reference(), options)), bias)
+        }
+        Method::MegaViews | Method::ManyLods => {
+            let tree = tree()?;
+            let bias = Bias::new(tree.voxel_size());
+            match method {
+                Method::MegaViews => (Box::new(MegaViews::new(tree)), bias),
+                _ => (Box::new(SvoCuts::new(tree)), bias),
+            }
+        }
+        _ => return Err("it draws no maps".into()),
+    })
+}
+
 type Failure = Box<dyn std::error::Error + Send + Sync>;
 
 fn make<'a>(method: Method, ingredients: &Ingredients<'a>) -> Result<Box<dyn Visibility + 'a>, Failure> {
@@ -151,5 +212,10 @@ fn make<'a>(method: Method, ingredients: &Ingredients<'a>) -> Result<Box<dyn Vis
             }
         }
         Method::Ism => Box::new(IsmVisibility::new(reference, IsmOptions::default())),
+        Method::MegaViews | Method::ManyLods => {
+            let (renderer, bias) = make_renderer(method, ingredients)?;
+            Box::new(MapVisibility::new(renderer, ingredients.maps, bias))
+        }
+        Method::None => Box::new(NoShadows),
     })
 }

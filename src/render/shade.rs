@@ -65,6 +65,11 @@ impl Lighting {
         }
     }
 
+    /// The same without the light that stands for all that comes over other surfaces, where that is known.
+    pub fn without_ambient(self) -> Self {
+        Self { ambient: Vec3::ZERO, ..self }
+    }
+
     /// Irradiance that reaches every surface.
     pub fn ambient(&self) -> Vec3 {
         self.ambient

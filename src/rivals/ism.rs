@@ -17,6 +17,7 @@
 //! of points and texels alone, so that their time is theirs to choose: [`IsmOptions`].
 
 use crate::reference::{Reference, area_normal};
+use crate::views::{Depths, PassSink, View, ViewError, ViewMaps, ViewRenderer, ViewSettings};
 use crate::visibility::{Visibility, VisibilityError, light_words};
 use glam::Vec3;
 use manyview_shaders::cases::Random;
@@ -114,8 +115,8 @@ impl IsmVisibility {
     }
 
     /// The map of light number `index` at `position`.
-    fn map(&self, index: usize, position: Vec3) -> Map {
-        let mut map = Map::empty(self.options.resolution);
+    fn map(&self, index: usize, position: Vec3, resolution: u32) -> Map {
+        let mut map = Map::empty(resolution);
         let radius = self.point_radius * self.options.splat_scale;
         let count = self.options.points_per_light.min(self.points.len());
         // Runs of successive lights have little in common.
@@ -123,7 +124,7 @@ impl IsmVisibility {
         for i in 0..count {
             map.splat(self.points[(first + i) % self.points.len()] - position, radius);
         }
-        let similar = self.options.steepest * std::f32::consts::PI / self.options.resolution as f32;
+        let similar = self.options.steepest * std::f32::consts::PI / resolution as f32;
         map.fill_holes(self.options.pull_levels, similar);
         map
     }
@@ -172,7 +173,9 @@ impl Visibility for IsmVisibility {
         }
         for (number, lights) in lights.chunks(LIGHTS_AT_ONCE).enumerate() {
             let first = number * LIGHTS_AT_ONCE;
-            let map = |(i, light): (usize, &LightPoint)| self.map(first + i, Vec3::from_array(light.offset));
+            let map = |(i, light): (usize, &LightPoint)| {
+                self.map(first + i, Vec3::from_array(light.offset), self.options.resolution)
+            };
             let maps: Vec<Map> = lights.par_iter().enumerate().map(map).collect();
             receivers.par_iter().zip(hidden.par_chunks_mut(words)).for_each(|(receiver, hidden)| {
                 for (i, (light, map)) in lights.iter().zip(&maps).enumerate() {
@@ -181,6 +184,51 @@ impl Visibility for IsmVisibility {
                     hidden[(first + i) / 32] |= bit << (i % 32);
                 }
             });
+        }
+        Ok(())
+    }
+}
+
+/// The maps, for those who gather light by them. Fields of view are not looked at: every map sees all around.
+impl ViewRenderer for IsmVisibility {
+    fn name(&self) -> &'static str {
+        "ism"
+    }
+
+    fn render_passes(
+        &self,
+        views: &[View],
+        settings: &ViewSettings,
+        sink: &mut PassSink<'_>,
+    ) -> Result<(), ViewError> {
+        settings.check()?;
+        if settings.with_colors {
+            return Err(ViewError::Unsupported { method: "ism", problem: "has no colours; use `manylods`" });
+        }
+        let (map_bytes, budget_bytes) = (settings.map_bytes(), settings.budget_bytes);
+        if map_bytes > budget_bytes {
+            let what = "one map";
+            return Err(ViewError::Budget { budget_bytes, what, needed_bytes: map_bytes });
+        }
+        // While a run is drawn, its depths are there twice.
+        let at_once = (budget_bytes / (map_bytes * 3)).clamp(1, 1 << 16) as usize;
+        for (number, run) in views.chunks(at_once).enumerate() {
+            let first = number * at_once;
+            let map = |(i, view): (usize, &View)| match view.is_drawable() {
+                true => self.map(first + i, Vec3::from_array(view.position), settings.resolution).depths,
+                false => Map::empty(settings.resolution).depths,
+            };
+            let maps: Vec<Vec<f32>> = run.par_iter().enumerate().map(map).collect();
+            let depths = match settings.half_depths {
+                true => {
+                    Depths::Half(maps.iter().flatten().map(|&depth| half::f16::from_f32(depth)).collect())
+                }
+                false => Depths::Full(maps.concat()),
+            };
+            let indices = (first as u32..(first + run.len()) as u32).collect();
+            let centers = run.iter().map(|view| view.position).collect();
+            let map_of = (0..run.len() as u32).collect();
+            sink(ViewMaps::from_parts(settings.resolution, indices, map_of, centers, depths, Vec::new()))?;
         }
         Ok(())
     }

@@ -4,11 +4,15 @@
 //! and tables take any of them: a batch of segments ([`Visibility::occluded`], [`Visibility::distances`]), and every
 //! pair of a receiver and a light ([`Visibility::hidden_lights`]).
 
+mod maps;
+mod none;
 pub(crate) mod parallel;
 mod stage;
 
 use manyview_shaders::device::DeviceError;
 pub use manyview_shaders::types::{LightPoint, Receiver, Segment};
+pub use maps::{Bias, MapVisibility, is_hidden};
+pub use none::NoShadows;
 pub use stage::{MethodStages, StageVisibility};
 use thiserror::Error;
 
@@ -26,6 +30,9 @@ pub enum VisibilityError {
     /// The GPU failed.
     #[error(transparent)]
     Device(#[from] DeviceError),
+    /// The lights' maps were not drawn.
+    #[error(transparent)]
+    Views(#[from] crate::views::ViewError),
 }
 
 /// A method of testing segments.

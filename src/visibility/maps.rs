@@ -1,0 +1,270 @@
+//! Shadows from the maps of views: any [`ViewRenderer`] as a method of testing lights.
+//!
+//! # Theory
+//! L. Williams, *Casting Curved Shadows on Curved Surfaces*, SIGGRAPH 1978: a receiver that is farther from a light than
+//! what the light's map holds in its direction is in shadow. A map has one distance for all that a texel shows, and the
+//! octree one for all that a voxel holds, so that a receiver must be farther by a bias ([`Bias`]).
+//!
+//! # Practice
+//! Every light at a position is a view that sees all around. Maps that fit the budget are drawn once and kept until other
+//! lights are asked about; others are drawn again, run by run, for every batch of receivers.
+
+use crate::views::{View, ViewMaps, ViewRenderer, ViewSettings};
+use crate::visibility::{LightPoint, Receiver, Segment, Visibility, VisibilityError, light_words};
+use manyview_shaders::testable::{is_behind, testable};
+use rayon::prelude::*;
+use std::sync::{Arc, Mutex, PoisonError};
+
+/// By how much a receiver must be farther than its map says to be in shadow.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub struct Bias {
+    /// Edge of the scene hierarchy's leaves, metres.
+    pub voxel_metres: f32,
+    /// A share of the depth that a texel spans on the receiver's surface.
+    pub texels: f32,
+    /// A number of leaves, for what the middle of a leaf may be off.
+    pub voxels: f32,
+    /// How far receivers are lifted off their surface, in leaves.
+    pub lift_voxels: f32,
+    /// The steepest surface whose slope counts: the tangent of the angle between its normal and the way to the light.
+    pub steepest: f32,
+}
+
+impl Bias {
+    /// The bias for a scene hierarchy of leaves of this edge.
+    pub fn new(voxel_metres: f32) -> Self {
+        Self { voxel_metres, texels: 0.75, voxels: 1.0, lift_voxels: 1.0, steepest: 4.0 }
+    }
+
+    /// Off the surface along its normal.
+    #[inline]
+    pub fn lifted(&self, position: [f32; 3], normal: [f32; 3]) -> [f32; 3] {
+        let lift = self.lift_voxels * self.voxel_metres;
+        [0, 1, 2].map(|i| position[i] + normal[i] * lift)
+    }
+}
+
+/// Whether a receiver at `position` ([`Bias::lifted`]) with this normal (zero for none) lies behind what a map holds.
+#[inline]
+pub fn is_hidden(maps: &ViewMaps, map: usize, position: [f32; 3], normal: [f32; 3], bias: &Bias) -> bool {
+    let center = maps.centers()[map];
+    let offset = [0, 1, 2].map(|i| position[i] - center[i]);
+    let distance = (offset[0] * offset[0] + offset[1] * offset[1] + offset[2] * offset[2]).sqrt();
+    if distance == 0.0 {
+        return false;
+    }
+    let texel = manyview_shaders::paraboloid::texel(offset, distance, maps.resolution());
+    let depth = maps.depth(map, texel as usize);
+    if distance <= depth {
+        return false;
+    }
+    // A texel's width there; the surface spans that times its slope.
+    let width = 2.0 * (distance + offset[0].abs()) / maps.resolution() as f32;
+    let along = (offset[0] * normal[0] + offset[1] * normal[1] + offset[2] * normal[2]).abs();
+    let slope = if normal == [0.0; 3] {
+        1.0
+    } else {
+        let across = (distance * distance - along * along).max(0.0).sqrt();
+        if across < bias.steepest * along { across / along } else { bias.steepest }
+    };
+    distance - bias.texels * width * slope - bias.voxels * bias.voxel_metres > depth
+}
+
+/// Lights as they were asked about, and their maps.
+type Kept = (Vec<LightPoint>, Arc<ViewMaps>);
+
+/// A renderer of views as a method of testing lights.
+pub struct MapVisibility<R> {
+    renderer: R,
+    settings: ViewSettings,
+    bias: Bias,
+    kept: Mutex<Option<Kept>>,
+}
+
+impl<R: ViewRenderer> MapVisibility<R> {
+    /// Takes a renderer of a scene hierarchy.
+    pub fn new(renderer: R, settings: ViewSettings, bias: Bias) -> Self {
+        Self { renderer, settings, bias, kept: Mutex::new(None) }
+    }
+
+    /// What draws the maps.
+    pub fn renderer(&self) -> &R {
+        &self.renderer
+    }
+
+    /// How the maps are drawn.
+    pub fn settings(&self) -> &ViewSettings {
+        &self.settings
+    }
+
+    /// The bias.
+    pub fn bias(&self) -> &Bias {
+        &self.bias
+    }
+
+    fn unsupported(&self, problem: &'static str) -> VisibilityError {
+        VisibilityError::Unsupported { method: self.renderer.name(), problem }
+    }
+
+    /// Answers for the lights whose maps are given.
+    fn answer(&self, receivers: &[Receiver], lights: &[LightPoint], maps: &ViewMaps, hidden: &mut [u32]) {
+        let words = light_words(lights.len());
+        receivers.par_iter().zip(hidden.par_chunks_mut(words)).for_each(|(receiver, hidden)| {
+            for (&light, &map) in maps.views().iter().zip(maps.map_of()) {
+                let light = light as usize;
+                let Some(segment) = testable(&lights[light].segment_from(receiver)) else { continue };
+                let in_shadow = || {
+                    let position = self.bias.lifted(segment.origin, segment.normal);
+                    map != ViewMaps::NO_MAP
+                        && is_hidden(maps, map as usize, position, segment.normal, &self.bias)
+                };
+                let bit = u32::from(is_behind(&segment) || in_shadow());
+                hidden[light / 32] |= bit << (light % 32);
+            }
+        });
+    }
+}
+
+impl<R: ViewRenderer> Visibility for MapVisibility<R> {
+    fn name(&self) -> &'static str {
+        self.renderer.name()
+    }
+
+    fn occluded(&self, _: &[Segment], _: &mut [u8]) -> Result<(), VisibilityError> {
+        Err(self.unsupported(SEGMENTS))
+    }
+
+    fn distances(&self, _: &[Segment], _: &mut [f32]) -> Result<(), VisibilityError> {
+        Err(self.unsupported(SEGMENTS))
+    }
+
+    fn hidden_lights(
+        &self,
+        receivers: &[Receiver],
+        lights: &[LightPoint],
+        hidden: &mut [u32],
+    ) -> Result<(), VisibilityError> {
+        let words = light_words(lights.len());
+        assert_eq!(hidden.len(), receivers.len() * words, "one bit for each receiver and light");
+        if lights.iter().any(|light| light.position_weight != 0.0) {
+            let problem = "has maps of lights at positions only; use `rows` or `bvh` for directional lights";
+            return Err(self.unsupported(problem));
+        }
+        hidden.fill(0);
+        if hidden.is_empty() {
+            return Ok(());
+        }
+        let mut kept = self.kept.lock().unwrap_or_else(PoisonError::into_inner);
+        if let Some((_, maps)) = kept.as_ref().filter(|(of, _)| of == lights) {
+            let maps = maps.clone();
+            drop(kept);
+            self.answer(receivers, lights, &maps, hidden);
+            return Ok(());
+        }
+        *kept = None;
+        let views: Vec<View> = lights.iter().map(|light| View::around(light.offset)).collect();
+        let mut all: Option<ViewMaps> = None;
+        self.renderer.render_passes(&views, &self.settings, &mut |pass| {
+            self.answer(receivers, lights, &pass, hidden);
+            // Kept if there is but one pass: more do not fit.
+            all = (pass.views().len() == views.len()).then_some(pass);
+            Ok(())
+        })?;
+        if let Some(all) = all {
+            *kept = Some((lights.to_vec(), Arc::new(all)));
+        }
+        Ok(())
+    }
+}
+
+const SEGMENTS: &str =
+    "has depth maps of lights and answers for receivers and lights only; use `rows` or `bvh` for segments";
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::views::{Depths, PassSink, ViewError};
+    use manyview_shaders::paraboloid::{texel_count, texel_direction};
+
+    /// Sees a wall at x = `wall` wherever |y| and |z| are at most 1 there, in passes of `most` views.
+    struct Wall {
+        wall: f32,
+        most: usize,
+    }
+
+    impl ViewRenderer for Wall {
+        fn name(&self) -> &'static str {
+            "wall"
+        }
+
+        fn render_passes(
+            &self,
+            views: &[View],
+            settings: &ViewSettings,
+            sink: &mut PassSink<'_>,
+        ) -> Result<(), ViewError> {
+            let order: Vec<u32> = (0..views.len() as u32).rev().collect();
+            for run in order.chunks(self.most) {
+                let mut depths = Vec::new();
+                for &view in run {
+                    let from = views[view as usize].position;
+                    depths.extend((0..texel_count(settings.resolution) as u32).map(|texel| {
+                        let d = texel_direction(texel, settings.resolution);
+                        let t = (self.wall - from[0]) / d[0];
+                        let on = |i: usize| (from[i] + d[i] * t).abs() <= 1.0;
+                        if t > 0.0 && on(1) && on(2) { t } else { f32::INFINITY }
+                    }));
+                }
+                let centers = run.iter().map(|&view| views[view as usize].position).collect();
+                let maps = (0..run.len() as u32).collect();
+                let depths = Depths::Full(depths);
+                sink(ViewMaps::from_parts(settings.resolution, run.to_vec(), maps, centers, depths, vec![]))?;
+            }
+            Ok(())
+        }
+    }
+
+    fn ask(most: usize, receivers: &[Receiver], lights: &[LightPoint]) -> Vec<u32> {
+        let method = MapVisibility::new(Wall { wall: 2.0, most }, ViewSettings::new(32), Bias::new(0.01));
+        let mut hidden = vec![7; receivers.len() * light_words(lights.len())];
+        method.hidden_lights(receivers, lights, &mut hidden).unwrap();
+        let mut again = hidden.clone();
+        method.hidden_lights(receivers, lights, &mut again).unwrap();
+        assert_eq!(hidden, again);
+        hidden
+    }
+
+    #[test]
+    fn what_is_behind_the_wall_is_hidden_and_what_is_on_it_is_not() {
+        let at = |x: f32, y: f32, normal: [f32; 3]| Receiver { position: [x, y, 0.0], normal };
+        let back = [-1.0, 0.0, 0.0];
+        let receivers = [
+            at(1.0, 0.0, back),
+            at(2.0, 0.0, back),
+            at(2.0, 0.9, back),
+            at(3.0, 0.2, back),
+            at(3.0, 0.2, [0.0; 3]),
+            at(3.0, 4.0, back),
+            at(1.0, 0.0, [1.0, 0.0, 0.0]),
+        ];
+        let lights: Vec<LightPoint> = [[0.0; 3], [0.5, 0.3, 0.0], [f32::NAN; 3]].map(LightPoint::at).to_vec();
+        let expected = vec![0, 0, 0, 3, 3, 0, 3];
+        for most in [1, 2, 9] {
+            assert_eq!(ask(most, &receivers, &lights), expected, "in passes of {most}");
+        }
+        // More lights than a word has bits.
+        let many: Vec<LightPoint> = (0..70).map(|i| LightPoint::at([0.01 * i as f32, 0.0, 0.0])).collect();
+        assert_eq!(ask(70, &receivers[3..4], &many), [u32::MAX, u32::MAX, 63]);
+        assert_eq!(ask(9, &receivers[3..4], &many), [u32::MAX, u32::MAX, 63]);
+        assert!(ask(9, &receivers, &[]).is_empty() && ask(9, &[], &many).is_empty());
+    }
+
+    #[test]
+    fn segments_and_suns_are_refused() {
+        let method = MapVisibility::new(Wall { wall: 1.0, most: 9 }, ViewSettings::new(8), Bias::new(0.01));
+        let error = method.occluded(&[], &mut []).unwrap_err().to_string();
+        assert!(error.contains("`wall`") && error.contains("use `rows`"), "{error}");
+        let sun = [LightPoint::directional([0.0, -1.0, 0.0], 9.0)];
+        assert!(method.hidden_lights(&[], &sun, &mut []).is_err());
+    }
+}
