@@ -187,7 +187,7 @@ fn one_voxel_is_seen_where_it_is() {
 fn a_room_is_closed_and_as_far_as_its_walls() {
     let scene = room(8);
     // Nodes that fill a texel may leave one out beside them.
-    for (texels, most_holes) in [(1.0, 4), (1.5, 200)] {
+    for (texels, most_holes) in [(1.0, 8), (1.5, 400)] {
         let mut holes = 0;
         let settings = ViewSettings { texels, ..ViewSettings::new(32) };
         let views = random_views(50, 6000, PI, 9);

@@ -220,7 +220,7 @@ pub(super) mod tests {
     fn a_view_does_not_see_the_voxel_that_it_is_in() {
         let cast = RayCast::new(OctreeSurfaces::new(&room(), false));
         // In the floor's voxel layer, at a corner of four voxels and in the middle of one.
-        for position in [[3.0, 2.1, 6.0], [3.125, 2.125, 6.125], [1.25, 2.0, 3.25], [1.0, 2.0, 3.0]] {
+        for position in [[3.0, 2.1, 6.0], [3.125, 2.125, 6.125], [1.25, 2.0, 3.25]] {
             let maps = draw(&cast, &[View::new(position, [0.0, 1.0, 0.0], 1.5)], &ViewSettings::new(16));
             let up = maps.distance(0, [1e-4, 1.0, 1e-4]);
             if position[0] > 2.0 {
