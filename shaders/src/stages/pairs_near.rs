@@ -31,7 +31,7 @@ pub(super) fn twin(workgroups: [u32; 3], bindings: &mut [CpuBinding]) {
             *kept = (*kept).min(distance.to_bits());
         };
         let length = dot(offset, offset).sqrt();
-        if !(length > 0.0) {
+        if length <= 0.0 {
             continue;
         }
         keep(texel(offset, length, resolution), length);

@@ -18,7 +18,7 @@ fn merged(cones: &[Cone]) -> Cone {
         sum = [0, 1, 2].map(|i| sum[i] + axis[i]);
     }
     let length = dot(sum, sum).sqrt();
-    if !(length > CONE_SLACK) {
+    if length <= CONE_SLACK {
         return all;
     }
     let axis = sum.map(|c| c / length);
