@@ -15,6 +15,7 @@
 //! | §3.4 fusion | [`crate::views::splat::TexelDirections::fuse`] |
 //! | §3.5 multi-pass | [`MegaViews`]: runs of the hierarchy's leaves |
 
+pub mod gpu;
 mod traverse;
 pub mod view_tree;
 

@@ -4,8 +4,12 @@ use crate::brickmap::{BRICKMAP_EMPTY, MIN_COSINE, MIN_DIRECTION};
 use crate::direction_table::TABLE_SIDE;
 use crate::directions::{ROW_LATTICE, ROW_RAW_BITS};
 use crate::masks::{UNMASKED, WrapCode};
+use crate::mega_views::{
+    CONE_SLACK, KEY_LEVELS, MOST_SHARED, PAIR_SPLITS_VIEWS, PAIR_WHOLE, counter, flag, tree,
+};
 use crate::raster::BARYCENTRIC_ONE;
 use crate::row_test::{LONGEST, MAX_HALVINGS, NEAR_STEPS, NORMAL_DROP, SHORTEST, TEST_RAW_BITS};
+use crate::scene_tree::SPHERE_OF_CUBE;
 use crate::testable::{MAX_NORMAL, MIN_LENGTH_SQUARED};
 use crate::wide_bvh::BVH_STACK;
 
@@ -21,6 +25,15 @@ pub const PAIRS_PER_INVOCATION: u32 = 16;
 pub const MAX_WORKGROUPS: u32 = 65_535;
 /// A peeled layer stores (voxel + 1) / `PEEL_DEPTHS`: exact in a float, and below 1 for the largest clip box.
 pub const PEEL_DEPTHS: u32 = 2048;
+
+/// Views that one invocation counts or puts in order while views are sorted.
+pub const SORT_CHUNK: u32 = 256;
+/// Values that one invocation of a prefix sum adds up.
+pub const SCAN_CHUNK: u32 = 256;
+/// Nodes of the view hierarchy that one invocation cuts.
+pub const TREE_CHUNK: u32 = 32;
+/// Texels of a map that one workgroup clears, fuses or packs.
+pub const MAP_SLICE: u32 = 512;
 
 /// The `const` lines that every shader starts with.
 pub fn wgsl() -> String {
@@ -41,6 +54,33 @@ pub fn wgsl() -> String {
         ("INFINITY_BITS", f32::INFINITY.to_bits()),
         ("BRICKMAP_EMPTY", BRICKMAP_EMPTY),
         ("BVH_STACK", BVH_STACK),
+        ("SORT_CHUNK", SORT_CHUNK),
+        ("SCAN_CHUNK", SCAN_CHUNK),
+        ("TREE_CHUNK", TREE_CHUNK),
+        ("MAP_SLICE", MAP_SLICE),
+        ("KEY_LEVELS", KEY_LEVELS),
+        ("MOST_SHARED", MOST_SHARED),
+        ("TREE_LEVEL", tree::LEVEL as u32),
+        ("TREE_NODES", tree::NODES as u32),
+        ("TREE_LEAVES", tree::LEAVES as u32),
+        ("TREE_FLAGS", tree::FLAGS as u32),
+        ("TREE_NEEDED", tree::NEEDED as u32),
+        ("TREE_STARTS", tree::STARTS as u32),
+        ("TREE_NODE_ARGUMENTS", tree::NODE_ARGUMENTS as u32),
+        ("TREE_LEAF_ARGUMENTS", tree::LEAF_ARGUMENTS as u32),
+        ("TREE_ARGUMENTS", tree::ARGUMENTS as u32),
+        ("TREE_LEVEL_ARGUMENTS", tree::LEVEL_ARGUMENTS as u32),
+        ("COUNTER_PAIRS", counter::PAIRS as u32),
+        ("COUNTER_QUEUED", counter::QUEUED as u32),
+        ("COUNTER_NEAR", counter::NEAR as u32),
+        ("COUNTER_FLAGS", counter::FLAGS as u32),
+        ("COUNTER_MOST", counter::MOST as u32),
+        ("FLAG_NODES", flag::NODES),
+        ("FLAG_PAIRS", flag::PAIRS),
+        ("FLAG_NEAR", flag::NEAR),
+        ("PAIR_SPLITS_VIEWS", PAIR_SPLITS_VIEWS),
+        ("PAIR_WHOLE", PAIR_WHOLE),
+        ("PAIR_VIEW", PAIR_SPLITS_VIEWS - 1),
     ];
     let mut lines: String =
         integers.iter().map(|(name, value)| format!("const {name}: u32 = {value}u;\n")).collect();
@@ -55,6 +95,9 @@ pub fn wgsl() -> String {
         ("SHORTEST", SHORTEST),
         ("MIN_DIRECTION", MIN_DIRECTION),
         ("MIN_COSINE", MIN_COSINE),
+        ("SPHERE_OF_CUBE", SPHERE_OF_CUBE),
+        ("CONE_SLACK", CONE_SLACK),
+        ("LARGEST", f32::MAX),
     ];
     lines.extend(floats.iter().map(|(name, value)| format!("const {name}: f32 = {value:e};\n")));
     lines

@@ -131,6 +131,11 @@ impl<'a> Recording<'a> {
         &self.commands
     }
 
+    /// Puts other steps behind these.
+    pub fn append(&mut self, other: Recording<'a>) {
+        self.commands.extend(other.commands);
+    }
+
     /// Copies `data` (a multiple of four bytes) to the start of a buffer.
     pub fn upload<T: Pod>(&mut self, buffer: BufferId, data: &'a [T]) {
         self.commands.push(Command::Upload { buffer, bytes: bytemuck::cast_slice(data) });

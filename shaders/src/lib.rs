@@ -9,6 +9,7 @@ pub mod directions;
 pub mod executor;
 pub mod jobs;
 pub mod masks;
+pub mod mega_views;
 pub mod octahedral;
 pub mod paraboloid;
 pub mod raster;

@@ -8,6 +8,7 @@
 
 mod lib_rays;
 mod lib_scan;
+mod lib_view_tree;
 
 use crate::executor::{CpuBinding, DepthImage};
 
@@ -129,5 +130,32 @@ stages! {
         Compute { workgroup_size: [64, 1, 1] };
     wide_bvh_segments(lib_rays, lib_segments, lib_masks, lib_wide_bvh)
         [Uniform, Read, ReadWrite, Uniform, Read, Read, Read, Read, Read] Compute { workgroup_size: [64, 1, 1] };
+    view_keys(lib_scene_tree, lib_grid, lib_sort, lib_view_cones)
+        [Uniform, Uniform, Read, ReadWrite, ReadWrite] Compute { workgroup_size: [64, 1, 1] };
+    sort_count(lib_sort) [Uniform, Read, Read, ReadWrite] Compute { workgroup_size: [64, 1, 1] };
+    scan_sums(lib_sums) [Uniform, Read, ReadWrite] Compute { workgroup_size: [64, 1, 1] };
+    scan_apply(lib_sums) [Uniform, Read, ReadWrite] Compute { workgroup_size: [64, 1, 1] };
+    sort_scatter(lib_sort) [Uniform, Read, Read, ReadWrite, ReadWrite] Compute { workgroup_size: [64, 1, 1] };
+    sort_gather(lib_grid, lib_sort, lib_view_cones)
+        [Uniform, Read, Read, Read, ReadWrite, ReadWrite] Compute { workgroup_size: [64, 1, 1] };
+    tree_count(lib_scene_tree, lib_pass, lib_view_tree)
+        [Uniform, Uniform, Read, Read, Read, ReadWrite] Compute { workgroup_size: [64, 1, 1] };
+    tree_scan(lib_pass, lib_grid) [Uniform, ReadWrite, ReadWrite] Compute { workgroup_size: [1, 1, 1] };
+    tree_emit(lib_scene_tree, lib_pass, lib_view_nodes, lib_view_tree)
+        [Uniform, Uniform, Read, Read, Read, ReadWrite, ReadWrite, ReadWrite]
+        Compute { workgroup_size: [64, 1, 1] };
+    tree_merge(lib_pass, lib_level, lib_view_cones, lib_view_nodes)
+        [Uniform, Uniform, Read, Read, ReadWrite, ReadWrite] Compute { workgroup_size: [64, 1, 1] };
+    maps_clear(lib_pass, lib_grid) [Uniform, Read, ReadWrite] Compute { workgroup_size: [64, 1, 1] };
+    maps_fuse(lib_pass, lib_level, lib_grid, lib_paraboloid, lib_view_nodes)
+        [Uniform, Uniform, Read, Read, Read, ReadWrite] Compute { workgroup_size: [64, 1, 1] };
+    maps_pack(lib_pass, lib_grid) [Uniform, Read, Read, Read, ReadWrite] Compute { workgroup_size: [64, 1, 1] };
+    pairs_prepare(lib_pass, lib_grid)
+        [Uniform, Read, ReadWrite, ReadWrite] Compute { workgroup_size: [1, 1, 1] };
+    pairs_step(lib_scene_tree, lib_pass, lib_grid, lib_paraboloid, lib_view_nodes)
+        [Uniform, Uniform, Read, Read, Read, Read, ReadWrite, ReadWrite, ReadWrite, ReadWrite]
+        Compute { workgroup_size: [64, 1, 1] };
+    pairs_near(lib_scene_tree, lib_pass, lib_grid, lib_paraboloid, lib_view_nodes, lib_near_leaf)
+        [Uniform, Uniform, Read, Read, Read, Read, ReadWrite] Compute { workgroup_size: [64, 1, 1] };
     visible_triangles(lib_masks) [Uniform, Read, Read, Read, Read, Depth, ReadWrite] Depth;
 }

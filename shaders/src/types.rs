@@ -4,9 +4,11 @@
 use crate::device::PackedFragment;
 use crate::directions::DirectionFrame;
 use crate::masks::{AlphaPlane, TexelMap, TriangleMask, UNMASKED, WrapCode, wrap_texel};
+use crate::mega_views::{LevelParams, PassParams, ScanParams, SceneParams, SortParams, ViewCone};
 use crate::raster::{Grid, VoxelBox};
 use crate::row_test::{PackedFrame, RowTestParams};
 use crate::testable::{is_behind, testable};
+use crate::views::ViewNode;
 use bytemuck::{Pod, Zeroable};
 use std::mem::offset_of;
 
@@ -449,4 +451,14 @@ gpu_structs! {
         forward, near_metres, right, far_metres, up, width, right_over_square, height, up_over_square, collect,
     }
     EyeTriangle { vertices, mask, index }
+    SceneParams { origin, size, depth, last_inner, key_cells_per_metre, reserved }
+    ViewCone { position, cos_psi, axis, sin_psi }
+    ViewNode { center, radius, axis, cos_psi, sin_psi, first, count, reserved }
+    SortParams { count, digit, chunks, reserved }
+    ScanParams { count, reserved_a, reserved_b, reserved_c }
+    LevelParams { level, reserved_a, reserved_b, reserved_c }
+    PassParams {
+        resolution, texels, scale, culling, run_start, run_count, sharing, near_lanes, node_capacity, pair_capacity,
+        near_capacity, half_depths, slices, reserved_a, reserved_b, reserved_c,
+    }
 }
