@@ -10,6 +10,7 @@ mod diff;
 mod error;
 mod inspect;
 mod output;
+mod overwrite;
 mod preview;
 mod progress;
 mod rays;
