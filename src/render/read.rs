@@ -68,7 +68,7 @@ fn read_png(path: &Path) -> Result<Compared, String> {
 
 fn read_exr(path: &Path) -> Result<Compared, String> {
     let open = || {
-        let file = std::fs::File::open(path).map_err(|error| unreadable(&error))?;
+        let file = fs_err::File::open(path).map_err(|error| unreadable(&error))?;
         Ok::<_, String>(BufReader::new(file))
     };
     let broken = |error: exr::error::Error| format!("no readable EXR: {error}");
