@@ -160,9 +160,9 @@ pub struct RowLattice {
 }
 
 impl RowLattice {
-    /// The lattice over world bounds. An axis gets at least 1/64 of the largest extent: in finer steps along a flat axis
-    /// the segment test would lose the way up to a light, which it cuts after so many steps ([`crate::row_test`]),
-    /// and the normals that lift it off the ground.
+    /// The lattice over world bounds. An axis gets at least 1/64 of the largest extent: the segment test cuts segments
+    /// after a number of steps ([`crate::row_test`]), and in finer ones those from a flat scene's ground would end
+    /// below what they are lifted off it.
     pub fn new(min: [f64; 3], max: [f64; 3]) -> Self {
         let half = [0, 1, 2].map(|i| (max[i] - min[i]) * 0.5);
         let floor = half[0].max(half[1]).max(half[2]) / 64.0;
