@@ -92,6 +92,25 @@ fn no_segments_give_no_answers_and_normals_are_taken() {
 }
 
 #[test]
+fn answers_do_not_overwrite_what_they_are_answers_to() {
+    let folder = tempfile::tempdir().unwrap();
+    let path = |name: &str| folder.path().join(name);
+    let text = |name: &str| path(name).to_str().unwrap().to_owned();
+    bake_town(&path("a.mvb"), 5, 1, true);
+    write(&path("r.npy"), 6, &rays(1));
+    let before = [fs_err::read(path("a.mvb")).unwrap(), fs_err::read(path("r.npy")).unwrap()];
+    fs_err::create_dir(path("sub")).unwrap();
+    for (output, named) in [("r.npy", "--rays"), ("sub/../r.npy", "--rays"), ("a.mvb", "A.mvb|SCENE")] {
+        let arguments = ["rays", &text("a.mvb"), "--rays", &text("r.npy"), "-o", &text(output)];
+        let (_, stderr) = expect_exit(2, &arguments);
+        assert!(stderr.contains("--output") && stderr.contains(named), "{stderr}");
+    }
+    let (_, stderr) = expect_exit(2, &["voxels", &text("a.mvb"), "--level", "2", "-o", &text("a.mvb")]);
+    assert!(stderr.contains("--output") && stderr.contains("A.mvb"), "{stderr}");
+    assert_eq!(before, [fs_err::read(path("a.mvb")).unwrap(), fs_err::read(path("r.npy")).unwrap()]);
+}
+
+#[test]
 fn wrong_inputs_are_told_apart() {
     let folder = tempfile::tempdir().unwrap();
     let path = |name: &str| folder.path().join(name);
@@ -115,7 +134,11 @@ fn wrong_inputs_are_told_apart() {
     let message = fail(3, TOWN, "seven.npy", "bvh");
     assert!(message.contains("expected float32 (n, 6) or (n, 9), found float32 (2, 7)"), "{message}");
     assert!(fail(3, TOWN, "words.npy", "bvh").contains("numpy.save"));
-    assert!(fail(3, TOWN, "missing.npy", "bvh").contains("missing.npy"));
+    let message = fail(3, TOWN, "missing.npy", "bvh");
+    assert!(message.contains("missing.npy") && message.contains("check that the file is there"), "{message}");
+    let message = fail(2, "town:0", "r.npy", "bvh");
+    assert!(message.contains("1000 to 1000000000 triangles"), "{message}");
+    assert!(fail(2, "town:-1", "r.npy", "bvh").contains("town:100000"));
     assert!(fail(3, &text("missing.glb"), "r.npy", "bvh").contains("missing.glb"));
     assert!(fail(3, &text("missing.mvb"), "r.npy", "rows").contains("missing.mvb"));
 }

@@ -186,6 +186,8 @@ fn wrong_arguments_and_inputs_are_refused() {
         assert!(stderr.contains(part), "{arguments:?}: {stderr}");
     }
     assert!(!png.exists());
+    let (_, stderr) = expect_exit(2, &["render", "town:0", "-o", text(&png)]);
+    assert!(stderr.contains("1000 to 1000000000 triangles"), "{stderr}");
     let (_, stderr) = expect_exit(2, &["render", SCENE, "-o", "picture.jpg"]);
     assert!(stderr.contains(".png or .exr"), "{stderr}");
     let (_, stderr) = expect_exit(3, &["render", "no-such.glb", "-o", text(&png)]);
@@ -199,6 +201,39 @@ fn wrong_arguments_and_inputs_are_refused() {
     assert!(stderr.contains("no bake of town:2000"), "{stderr}");
     let (_, stderr) = expect_exit(2, &["render", text(&archive), "-o", text(&png)]);
     assert!(stderr.contains("name the scene"), "{stderr}");
+}
+
+#[test]
+fn outputs_do_not_overwrite_inputs_or_each_other() {
+    let folder = tempfile::tempdir().unwrap();
+    let at = |name: &str| folder.path().join(name);
+    let (png, exr, bits) = (at("p.png"), at("p.exr"), at("b.npy"));
+    let camera = at("c.png");
+    fs_err::write(&camera, "eye = [40, 60, 40]\ntarget = [0, 0, 0]").unwrap();
+    let lights = at("lights.csv");
+    fs_err::write(&lights, "0,30,0\n").unwrap();
+    for (arguments, named) in [
+        (vec!["-o", text(&camera), "--camera", text(&camera)], ["--output", "--camera"]),
+        (
+            vec!["-o", text(&png), "--lights", text(&lights), "--light-bits", text(&lights)],
+            ["--light-bits", "--lights"],
+        ),
+        (
+            vec!["-o", text(&png), "--bake", text(&bits), "--light-bits", text(&bits)],
+            ["--light-bits", "--bake"],
+        ),
+        (vec!["-o", text(&exr), "--light-bits", text(&exr)], ["--light-bits", "--output"]),
+        (vec!["-o", text(&exr), "-o", text(&exr)], ["--output", "same file"]),
+    ] {
+        let (_, stderr) = render(2, &arguments);
+        assert!(named.iter().all(|part| stderr.contains(part)), "{arguments:?}: {stderr}");
+    }
+    assert!(!png.exists() && !exr.exists() && fs_err::read(&lights).unwrap() == b"0,30,0\n");
+    render(0, &["--lights", text(&lights), "-o", text(&exr), "--light-bits", text(&bits)]);
+    let before = fs_err::read(&exr).unwrap();
+    let (_, stderr) = expect_exit(2, &["compare", text(&exr), text(&exr), "-o", text(&exr)]);
+    assert!(stderr.contains("--output") && stderr.contains("REF"), "{stderr}");
+    assert_eq!(before, fs_err::read(&exr).unwrap());
 }
 
 #[test]
@@ -216,7 +251,13 @@ fn pictures_that_cannot_be_compared_are_refused() {
     let (_, stderr) = expect_exit(3, &["compare", text(&a), text(&b)]);
     assert!(stderr.contains("48 × 32 and 40 × 32"), "{stderr}");
     let (_, stderr) = expect_exit(3, &["compare", text(&a), text(&at("none.exr"))]);
-    assert!(stderr.contains("none.exr"), "{stderr}");
+    assert!(stderr.contains("none.exr") && stderr.contains("check that the file is there"), "{stderr}");
+    let (_, stderr) = expect_exit(3, &["compare", text(&png), text(&at("none.png"))]);
+    assert!(stderr.contains("none.png") && stderr.contains("check that the file is there"), "{stderr}");
+    let none = at("none.npy");
+    let (_, stderr) =
+        expect_exit(3, &["compare", text(&a), text(&a), "--light-bits", text(&none), text(&none)]);
+    assert!(stderr.contains("none.npy") && stderr.contains("check that the file is there"), "{stderr}");
     let broken = at("broken.exr");
     let bytes = fs_err::read(&a).unwrap();
     for length in [0, 3, 100, bytes.len() / 2] {

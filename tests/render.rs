@@ -5,7 +5,7 @@ use glam::{DMat4, DVec3, Vec3, Vec4};
 use manyview::exact::ExactRays;
 use manyview::preview::Camera;
 use manyview::render::gbuffer::GBuffer;
-use manyview::render::glow::glow;
+use manyview::render::glow::{MOST_GLOW, glow};
 use manyview::render::image::{Exposure, LitImage, Provenance, picture, render};
 use manyview::render::lights::point_light;
 use manyview::render::methods::{Ingredients, Method, visibility};
@@ -258,6 +258,30 @@ fn lights_are_drawn_where_nothing_hides_them() {
     let picture = picture(&gbuffer, image, &glow, &provenance);
     assert_eq!(picture.display[50 * 100 + column], [255, 188, 0]);
     assert!(picture.color[50 * 100 + column][0] < 2.0, "no glow in the radiance");
+}
+
+#[test]
+fn thousands_of_drawn_lights_leave_the_picture_to_be_seen() {
+    let scene = quads(&[floor(5.0, 0.0)]);
+    let camera = from_above(10.0);
+    let lights = |side: i32| -> Vec<_> {
+        let at = |i: i32| (f64::from(i) / f64::from(side) - 0.5) as f32 * 6.0;
+        let place = |i: i32| Vec3::new(at(i % side), 1.0, at(i / side));
+        (0..side * side).map(|i| point_light(place(i), Vec3::new(2.0, 1.0, 0.0))).collect()
+    };
+    let (gbuffer, _, _) = draw(&scene, &camera, [100, 100], &[]);
+    let mean = |count: i32| {
+        let glow = glow(&gbuffer, &camera, &lights(count), scene.radius()).unwrap();
+        assert!(glow.iter().flatten().all(|c| (0.0..=1.0).contains(c)));
+        glow.iter().map(|light| f64::from(light[0])).sum::<f64>() / 1e4
+    };
+    // Few are as they were: 1.7 π radius² each.
+    let (one, four) = (mean(1), mean(2));
+    assert!(one > 1e-4 && (four / one - 4.0).abs() < 0.8, "{one} {four}");
+    for side in [10, 30, 100] {
+        let mean = mean(side);
+        assert!(mean > MOST_GLOW * 0.3 && mean < MOST_GLOW * 1.001, "{side}²: {mean}");
+    }
 }
 
 /// Cancels after some progress.

@@ -104,7 +104,8 @@ impl Recipe {
     /// Reads the recipe at `path`.
     pub fn read(path: &Path) -> Result<Self, RecipeError> {
         let fail = |reason: String| RecipeError { path: path.to_owned(), reason };
-        let text = fs_err::read_to_string(path).map_err(|e| fail(e.to_string()))?;
+        let text = fs_err::read_to_string(path)
+            .map_err(|e| fail(format!("{e}; check that the file is there and readable")))?;
         Self::parse(&text, path.parent().unwrap_or(Path::new(""))).map_err(fail)
     }
 

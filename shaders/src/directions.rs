@@ -160,10 +160,12 @@ pub struct RowLattice {
 }
 
 impl RowLattice {
-    /// The lattice over world bounds. A flat axis gets 1/1024 of the largest extent.
+    /// The lattice over world bounds. An axis gets at least 1/64 of the largest extent: the segment test cuts segments
+    /// after a number of steps ([`crate::row_test`]), and in finer ones those from a flat scene's ground would end
+    /// below what they are lifted off it.
     pub fn new(min: [f64; 3], max: [f64; 3]) -> Self {
         let half = [0, 1, 2].map(|i| (max[i] - min[i]) * 0.5);
-        let floor = half[0].max(half[1]).max(half[2]) / 1024.0;
+        let floor = half[0].max(half[1]).max(half[2]) / 64.0;
         Self { center: [0, 1, 2].map(|i| (min[i] + max[i]) * 0.5), half_extent: half.map(|h| h.max(floor)) }
     }
 

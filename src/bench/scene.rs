@@ -2,7 +2,7 @@
 
 use super::BenchError;
 use manyview_pipeline::bake::BakeError;
-use manyview_pipeline::generate::{SceneKind, generate};
+use manyview_pipeline::generate::{MAX_TRIANGLES, MIN_TRIANGLES, SceneKind, generate};
 use manyview_pipeline::import::{ImportOptions, import};
 use manyview_pipeline::scene::Scene;
 use manyview_pipeline::triangles::{Cutouts, LatticeTriangles};
@@ -27,12 +27,23 @@ pub enum SceneSource {
 
 /// A text that names no scene.
 #[derive(Debug, Clone, PartialEq, Eq, Error)]
-#[error(
-    "`{text}` is no scene: write the path of a .glb or .gltf file, or KIND:TRIANGLES such as town:100000"
-)]
-pub struct UnknownScene {
-    /// The text.
-    pub text: String,
+pub enum UnknownScene {
+    /// Neither a path nor a kind with a number.
+    #[error(
+        "`{text}` is no scene: write the path of a .glb or .gltf file, or KIND:TRIANGLES such as town:100000"
+    )]
+    Text {
+        /// The text.
+        text: String,
+    },
+    /// So few or many triangles are not made.
+    #[error(
+        "`{text}`: generated scenes have {MIN_TRIANGLES} to {MAX_TRIANGLES} triangles, such as town:100000"
+    )]
+    Triangles {
+        /// The text.
+        text: String,
+    },
 }
 
 impl FromStr for SceneSource {
@@ -43,12 +54,13 @@ impl FromStr for SceneSource {
             && let Ok(kind) = kind.parse()
         {
             return match triangles.parse() {
-                Ok(triangles) => Ok(Self::Generated { kind, triangles }),
-                Err(_) => Err(UnknownScene { text: text.to_owned() }),
+                Ok(triangles @ MIN_TRIANGLES..=MAX_TRIANGLES) => Ok(Self::Generated { kind, triangles }),
+                Ok(_) => Err(UnknownScene::Triangles { text: text.to_owned() }),
+                Err(_) => Err(UnknownScene::Text { text: text.to_owned() }),
             };
         }
         match text.is_empty() {
-            true => Err(UnknownScene { text: text.to_owned() }),
+            true => Err(UnknownScene::Text { text: text.to_owned() }),
             false => Ok(Self::File(text.into())),
         }
     }
@@ -114,6 +126,10 @@ mod tests {
             Ok(SceneSource::Generated { kind: SceneKind::City, triangles: 5000 })
         );
         assert_eq!("C:\\x.glb".parse(), Ok(SceneSource::File("C:\\x.glb".into())));
+        for text in ["town:0", "town:999", "town:1000000001"] {
+            assert_eq!(text.parse::<SceneSource>(), Err(UnknownScene::Triangles { text: text.to_owned() }));
+        }
+        assert!("town:1000".parse::<SceneSource>().is_ok());
         assert!("city:many".parse::<SceneSource>().is_err() && "".parse::<SceneSource>().is_err());
     }
 

@@ -1,7 +1,7 @@
 //! `manyview bake`.
 
 use std::fmt::Write as _;
-use std::path::{Component, Path, PathBuf};
+use std::path::{Path, PathBuf};
 use std::str::FromStr;
 
 use clap::ValueEnum;
@@ -11,7 +11,7 @@ use manyview_pipeline::bake::{BakeError, RowsFrom, VoxelsFrom};
 use manyview_pipeline::import::ImportError;
 use manyview_pipeline::recipe::{Recipe, SceneSource, parse_fit, parse_rows_from, parse_rows_size};
 use manyview_pipeline::rows::RowsOptions;
-use manyview_pipeline::run::{Bake, RunError, Summary, same_file};
+use manyview_pipeline::run::{Bake, RunError, Summary};
 use manyview_shaders::cpu_device::CpuDevice;
 use manyview_shaders::device::VoxelDevice;
 use manyview_shaders::directions::{DirectionSet, Fit};
@@ -21,6 +21,7 @@ use super::Format;
 use super::cancel;
 use super::error::{CliError, CliResult, Exit};
 use super::output::{bytes, count, print, print_json};
+use super::overwrite::check_outputs;
 use super::progress::{Progress, estimate_event, estimate_line};
 
 /// Options of `bake`.
@@ -164,20 +165,11 @@ pub(crate) fn run(options: &Options) -> CliResult {
         }
         return Ok(Exit::Done);
     }
+    spare_inputs(options, &recipe, &bake)?;
     for output in
         [Some(&bake.output), options.preview.as_ref().or(recipe.preview.as_ref())].into_iter().flatten()
     {
         make_recipe_folder(&recipe, output)?;
-    }
-    if let Some(path) = &options.depfile {
-        let scene = match &bake.source {
-            SceneSource::File(scene) => Some(scene),
-            SceneSource::Generated { .. } => None,
-        };
-        let others = [Some(&bake.output), scene, options.recipe.as_ref()];
-        if others.into_iter().flatten().any(|other| is_same_path(path, other)) {
-            return Err(CliError::usage(format!("--depfile {} would overwrite it", path.display())));
-        }
     }
     if options.tells_events() {
         cancel::tell_events();
@@ -249,10 +241,23 @@ fn plan(options: &Options, recipe: &Recipe) -> Result<Bake, CliError> {
     Ok(bake)
 }
 
-/// Whether two paths, of files that need not exist yet, are one.
-fn is_same_path(a: &Path, b: &Path) -> bool {
-    let normal = |path: &Path| path.components().filter(|c| *c != Component::CurDir).collect::<PathBuf>();
-    normal(a) == normal(b) || same_file(a, b)
+/// No output may be an input or another output.
+fn spare_inputs(options: &Options, recipe: &Recipe, bake: &Bake) -> Result<(), CliError> {
+    // A scene that the archive would overwrite is the bake's own error.
+    let scene = match &bake.source {
+        SceneSource::File(scene) => Some(("SCENE", &**scene)),
+        SceneSource::Generated { .. } => None,
+    };
+    let recipe_file = options.recipe.as_deref().map(|path| ("--recipe", path));
+    let camera = recipe.camera.as_deref().map(|path| ("the recipe's camera", path));
+    let archive = ("--output", &*bake.output);
+    let picture = options.preview.as_deref().or(recipe.preview.as_deref()).map(|path| ("--preview", path));
+    let depfile = options.depfile.as_deref().map(|path| ("--depfile", path));
+    let settings: Vec<_> = [recipe_file, camera].into_iter().flatten().collect();
+    check_outputs(&settings, &[archive])?;
+    let inputs: Vec<_> = settings.into_iter().chain(scene).chain([archive]).collect();
+    let outputs: Vec<_> = [picture, depfile].into_iter().flatten().collect();
+    check_outputs(&inputs, &outputs)
 }
 
 /// Makes the folder of an output that the recipe names, so that a fresh clone can run it.

@@ -2,7 +2,6 @@
 
 use std::path::{Path, PathBuf};
 
-use fs_err::File;
 use manyview::preview::{PictureFormat, write_picture};
 use manyview::render::compare::{CompareError, Comparison, compare, eps_v};
 use manyview::render::image::Exposure;
@@ -11,8 +10,9 @@ use serde_json::{Value, json};
 
 use super::Format;
 use super::cancel;
-use super::error::{CliError, CliResult, Exit};
+use super::error::{CliError, CliResult, Exit, open_input};
 use super::output::{count, print, print_json};
+use super::overwrite::check_outputs;
 use super::render::exposure;
 
 /// Options of `compare`.
@@ -53,15 +53,21 @@ pub(crate) fn run(options: &Options) -> CliResult {
         })?),
         None => None,
     };
+    if let Some(output) = &options.output {
+        let bits = options.light_bits.iter().flatten().map(|path| ("--light-bits", &**path));
+        let inputs: Vec<_> =
+            [("REF", &*options.reference), ("IMG", &*options.image)].into_iter().chain(bits).collect();
+        check_outputs(&inputs, &[("--output", output)])?;
+    }
     let read = |path: &Path| read_picture(path).map_err(|error| CliError::new(Exit::BadInput, error));
     let (reference, image) = (read(&options.reference)?, read(&options.image)?);
     cancel::check()?;
     let bad = |error: CompareError| CliError::new(Exit::BadInput, error);
     let (mut comparison, difference) = compare(&reference, &image, options.exposure).map_err(bad)?;
     if let Some([a, b]) = options.light_bits.as_deref() {
-        let open = |path: &Path| File::open(path).map_err(CliError::bad_input);
         let names = [a, b].map(|path| path.display().to_string());
-        let files = [open(a)?, open(b)?].map(|file| std::io::BufReader::with_capacity(1 << 20, file));
+        let files =
+            [open_input(a)?, open_input(b)?].map(|file| std::io::BufReader::with_capacity(1 << 20, file));
         comparison.eps_v = eps_v(&reference, [&names[0], &names[1]], files).map_err(bad)?;
     }
     if let Some((path, format)) = options.output.as_ref().zip(format) {

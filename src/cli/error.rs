@@ -1,6 +1,7 @@
 //! How commands end: exit codes, and the errors that carry them.
 
 use std::fmt;
+use std::path::Path;
 use std::process::ExitCode;
 
 use manyview::LoadError;
@@ -36,6 +37,12 @@ impl From<Exit> for ExitCode {
     fn from(exit: Exit) -> Self {
         ExitCode::from(exit as u8)
     }
+}
+
+/// Opens a file that an option names.
+pub(crate) fn open_input(path: &Path) -> Result<fs_err::File, CliError> {
+    let failed = |error| CliError::bad_input(format!("{error}; check that the file is there and readable"));
+    fs_err::File::open(path).map_err(failed)
 }
 
 /// How a command ended, if not with an error.

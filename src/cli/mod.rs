@@ -11,6 +11,7 @@ mod error;
 mod gather;
 mod inspect;
 mod output;
+mod overwrite;
 mod preview;
 mod progress;
 mod rays;

@@ -17,6 +17,7 @@ use manyview_shaders::sections::SceneInfo;
 use super::camera_file::{describe, read_camera};
 use super::cancel;
 use super::error::{CliError, CliResult, Exit};
+use super::overwrite::check_outputs;
 
 /// The most pixels of a picture; each takes about 200 bytes while it is made.
 const MAX_PIXELS: u64 = 1 << 26;
@@ -175,6 +176,7 @@ pub(crate) fn run(options: &Options) -> CliResult {
         let path = options.output.display();
         CliError::usage(format!("{path}: name the picture with the ending .png or .exr"))
     })?;
+    check_outputs(&[("A.mvb", &*options.archive)], &[("--output", &*options.output)])?;
     let archive = Archive::open(&options.archive)?;
     let levels = archive.svo_info().levels;
     let level = options.level.unwrap_or(levels);

@@ -22,8 +22,9 @@ use serde_json::json;
 
 use super::Format;
 use super::cancel;
-use super::error::{CliError, CliResult, Exit};
+use super::error::{CliError, CliResult, Exit, open_input};
 use super::output::{counted, print_json};
+use super::overwrite::check_outputs;
 use super::progress::Progress;
 
 /// Segments that are read, tested and written at a time: 20 MB of them, and enough for every thread.
@@ -169,9 +170,10 @@ pub(crate) fn with_method<R>(
 /// Runs `rays`.
 pub(crate) fn run(options: &Options) -> CliResult {
     _ = cancel::watch();
+    let inputs = [("A.mvb|SCENE", &*options.input), ("--rays", &*options.rays)];
+    check_outputs(&inputs, &[("--output", &*options.output)])?;
     let name = options.rays.display().to_string();
-    let file =
-        fs_err::File::open(&options.rays).map_err(|error| CliError::bad_input(format_args!("{error}")))?;
+    let file = open_input(&options.rays)?;
     let shapes: &[&[Option<u64>]] = &[&[None, Some(6)], &[None, Some(9)]];
     let mut rays = ArrayReader::<f32, _>::new(name, io::BufReader::new(file.into_parts().0), shapes)?;
     // What cannot be written is not worth the work.

@@ -36,6 +36,7 @@ use super::cancel;
 use super::error::{CliError, CliResult, Exit};
 use super::gather;
 use super::output::{bytes, count, counted, print, print_json};
+use super::overwrite::check_outputs;
 use super::progress::Progress;
 
 /// Options of `render`.
@@ -142,6 +143,7 @@ pub(super) fn exposure(text: &str) -> Result<Exposure, String> {
 /// Runs `render`.
 pub(crate) fn run(options: &Options) -> CliResult {
     let formats = output_formats(options)?;
+    spare_inputs(options)?;
     if options.format == Format::Json {
         cancel::tell_events();
     }
@@ -312,6 +314,28 @@ fn output_formats(options: &Options) -> Result<Vec<PictureFormat>, CliError> {
         })
     });
     named.collect()
+}
+
+/// No output may be an input or another output.
+fn spare_inputs(options: &Options) -> Result<(), CliError> {
+    let scene = match &options.scene {
+        SceneSource::File(path) => Some(("SCENE", &**path)),
+        SceneSource::Generated { .. } => None,
+    };
+    let lights = match &options.lights {
+        Some(LightSource::File(path)) => Some(("--lights", &**path)),
+        _ => None,
+    };
+    let camera = match options.camera.as_str() {
+        "auto" | "inside" => None,
+        file => Some(("--camera", Path::new(file))),
+    };
+    let archive = options.bake.as_deref().map(|path| ("--bake", path));
+    let inputs: Vec<_> = [scene, archive, lights, camera].into_iter().flatten().collect();
+    let pictures = options.output.iter().map(|path| ("--output", &**path));
+    let outputs: Vec<_> =
+        pictures.chain(options.light_bits.as_deref().map(|path| ("--light-bits", path))).collect();
+    check_outputs(&inputs, &outputs)
 }
 
 fn load(options: &Options) -> Result<RenderScene, CliError> {

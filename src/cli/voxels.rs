@@ -9,6 +9,7 @@ use manyview_cache::atomic::{AtomicFile, AtomicFileError};
 use super::cancel;
 use super::error::{CliError, CliResult, Exit};
 use super::output::{count, counted, length};
+use super::overwrite::check_outputs;
 
 /// Options of `voxels`.
 #[derive(Debug, clap::Args)]
@@ -26,6 +27,7 @@ pub(crate) struct Options {
 
 /// Runs `voxels`.
 pub(crate) fn run(options: &Options) -> CliResult {
+    check_outputs(&[("A.mvb", &*options.archive)], &[("--output", &*options.output)])?;
     let archive = Archive::open(&options.archive)?;
     let level = options.level;
     let levels = archive.svo_info().levels;

@@ -285,3 +285,38 @@ fn a_floor_does_not_hide_what_is_above_it() {
         assert_eq!(occluded(&tester, &[from(0.1, DVec3::ZERO)]), [1], "a free point inside the voxel");
     }
 }
+
+/// The share of lights above a floor of 8 m × 8 m that it hides from itself, in rows over bounds of some height.
+fn hidden_by_a_floor(height: f64, settings: TestSettings) -> f64 {
+    const BITS: u32 = 6;
+    let set = DirectionSet::LatLong { thetas: 40, phis: 40 };
+    let bounds = [DVec3::new(-4.0, 0.0, -4.0), DVec3::new(4.0, height, 4.0)];
+    let mut rows = crate::deform::DeformingRows::new(set, BITS, Fit::Extent, bounds).unwrap();
+    // Two points a voxel edge.
+    let at = |i: u32| (i as f32 / 128.0 - 0.5) * 8.0;
+    let points: Vec<[f32; 3]> = (0..129 * 129).map(|i| [at(i % 129), 0.0, at(i / 129)]).collect();
+    rows.refill(&points);
+    let words = Arc::new(rows.rows().to_vec());
+    let tester = RowTester::new(set, rows.lattice(), BITS, rows.frames(), words).with_settings(settings);
+    let mut random = Random::new(11);
+    let segments: Vec<Segment> = (0..20_000)
+        .map(|_| {
+            let origin = DVec3::new(random.signed() * 3.9, 0.0, random.signed() * 3.9);
+            let light = DVec3::new(random.signed() * 4.0, 0.2 + 2.0 * random.unit(), random.signed() * 4.0);
+            let [origin, target] = [origin, light].map(|p| p.as_vec3().to_array());
+            Segment { origin, target, normal: [0.0, 1.0, 0.0] }
+        })
+        .collect();
+    occluded(&tester, &segments).iter().map(|&hit| f64::from(hit)).sum::<f64>() / segments.len() as f64
+}
+
+#[test]
+fn a_floor_hides_nothing_from_itself_however_flat_its_bounds() {
+    // Some lights stand so low that the directions are too coarse for them.
+    let thick = hidden_by_a_floor(0.25, TestSettings::EXACT);
+    assert!(thick < 0.025, "{thick}");
+    for height in [0.0, 0.03, 0.1] {
+        let flat = hidden_by_a_floor(height, TestSettings::EXACT);
+        assert!(flat < 0.035, "{height} m: {flat}, {thick} where it is not flat");
+    }
+}

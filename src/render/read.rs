@@ -41,10 +41,14 @@ fn check_size(width: usize, height: usize) -> Result<[u32; 2], String> {
     }
 }
 
+fn unreadable(error: &std::io::Error) -> String {
+    format!("cannot be read: {error}; check that the file is there and readable")
+}
+
 fn read_png(path: &Path) -> Result<Compared, String> {
     let open = || {
         let reader = ImageReader::open(path).and_then(ImageReader::with_guessed_format);
-        reader.map_err(|error| format!("cannot be read: {error}"))
+        reader.map_err(|error| unreadable(&error))
     };
     let broken = |error: image::ImageError| format!("no readable picture: {error}");
     let (width, height) = open()?.into_dimensions().map_err(broken)?;
@@ -64,7 +68,7 @@ fn read_png(path: &Path) -> Result<Compared, String> {
 
 fn read_exr(path: &Path) -> Result<Compared, String> {
     let open = || {
-        let file = fs_err::File::open(path).map_err(|error| format!("cannot be read: {error}"))?;
+        let file = fs_err::File::open(path).map_err(|error| unreadable(&error))?;
         Ok::<_, String>(BufReader::new(file))
     };
     let broken = |error: exr::error::Error| format!("no readable EXR: {error}");

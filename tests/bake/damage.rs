@@ -286,7 +286,12 @@ fn recipes_that_cannot_be_used_are_named() {
         work.write("recipe.toml", text.as_bytes());
         fails(&work, &["--recipe", "recipe.toml", "-o", "out.mvb"], code, &[needle]);
     }
-    fails(&work, &["--recipe", "gone.toml", "-o", "out.mvb"], 3, &["gone.toml"]);
+    fails(
+        &work,
+        &["--recipe", "gone.toml", "-o", "out.mvb"],
+        3,
+        &["gone.toml", "check that the file is there"],
+    );
 }
 
 #[test]
@@ -297,5 +302,9 @@ fn side_outputs_do_not_replace_what_they_describe() {
         let arguments = [&["scene.glb", "-o", "out.mvb", "--depfile", other], &SMALL[..]].concat();
         fails(&work, &arguments, 2, &["--depfile"]);
     }
+    work.write("recipe.toml", b"scene = \"scene.glb\"");
+    fails(&work, &["--recipe", "recipe.toml", "-o", "recipe.toml"], 2, &["--output", "--recipe"]);
+    let preview = ["scene.glb", "-o", "out.png", "--preview", "./out.png"];
+    fails(&work, &preview, 2, &["--preview", "--output"]);
     assert_eq!(work.read("scene.glb"), usual());
 }

@@ -502,6 +502,24 @@ mod tests {
     }
 
     #[test]
+    fn the_bear_and_its_floor_err_little() {
+        let directions = DirectionSet::LatLong { thetas: 40, phis: 40 };
+        let rows = RowsOptions { bits: 6, directions, ..default_rows() };
+        let small = DynamicSettings {
+            static_triangles: 2,
+            actor_triangles: 5000,
+            frames: 1,
+            rows,
+            ..DynamicSettings::default()
+        };
+        let settings =
+            TableSettings { size: [96, 54], lights: 128, levels: 6, repeats: 1, ..TableSettings::default() };
+        let sums = dancing_bear(&small, &settings).unwrap();
+        // So much of it is wrong where a floor, which is flat, hides lights from itself: 5.0.
+        assert!(sums.eps_v < 3.0, "{sums:?}");
+    }
+
+    #[test]
     fn a_deforming_object_is_measured_without_a_gpu() {
         let table = deforming_rows(1000, &[4], &[5, 6], None, &Silent).unwrap();
         assert_eq!(table.rows.len(), 2);
