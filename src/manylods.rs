@@ -10,6 +10,7 @@
 //! | type | hierarchy | from |
 //! |---|---|---|
 //! | [`SvoCuts`] | the octree of a bake | the root, or the last frame's cut ([`CutState`]) |
+//! | [`SvoCutsGpu`] | the same | the root, on a GPU or by the stages' twins |
 //!
 //! It is what [`crate::megaviews`] is measured against: the same octree, maps and tests, but every view starts at the
 //! octree's root.
@@ -28,10 +29,12 @@
 //! Real-Time Global Illumination*, CGF 30(4), 2011, doi 10.1111/j.1467-8659.2011.01982.x.
 
 mod drawing;
+mod gpu;
 mod octants;
 mod passes;
 mod state;
 
+pub use gpu::SvoCutsGpu;
 pub use state::{CutState, Steps};
 
 use crate::views::splat::Canvas;

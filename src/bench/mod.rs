@@ -26,6 +26,7 @@ pub use scene::{BenchScene, SceneSource, UnknownScene};
 pub use table::{Cell, Table};
 
 use crate::archive::LoadError;
+use crate::views::ViewError;
 use crate::visibility::VisibilityError;
 use manyview_pipeline::bake::BakeError;
 use manyview_pipeline::import::ImportError;
@@ -61,6 +62,14 @@ pub enum BenchError {
         method: String,
         /// What went wrong.
         source: VisibilityError,
+    },
+    /// A method of drawing views failed.
+    #[error("{method}: {source}")]
+    Views {
+        /// Its name.
+        method: String,
+        /// What went wrong.
+        source: ViewError,
     },
     /// The bake cannot be read back.
     #[error("{scene}: {source}")]

@@ -8,6 +8,7 @@
 //! | IV | [`directions`] | error against sampled directions |
 //! | V | [`dynamic`], [`deforming_rows`] | moving and deforming objects |
 //! | VI | [`throughput`] | rays a second against triangles |
+//! | 1 of \[ML\] | [`manylods()`] | time and lists of the maps of many lights |
 //!
 //! # Practice
 //! Receivers are the surface points that a camera sees ([`Subject`]); every receiver is asked about every light, as a
@@ -18,6 +19,7 @@ mod actors;
 mod dynamic;
 mod errors;
 mod images;
+mod manylods;
 mod measure;
 mod methods;
 mod subject;
@@ -25,6 +27,7 @@ mod subject;
 pub use dynamic::{DynamicSettings, deforming_rows, dynamic};
 pub use errors::Errors;
 pub use images::{directions, lights, resolution, scenes, throughput};
+pub use manylods::{RivalOf, manylods};
 pub use measure::{Measured, Measurement};
 pub use methods::{Method, MethodSource, OurMethods};
 pub use subject::Subject;
