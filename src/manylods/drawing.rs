@@ -50,6 +50,11 @@ pub(super) struct Counts {
 }
 
 impl Counts {
+    /// Counts node-views whose level does not matter.
+    pub(super) fn visit(&mut self, count: usize) {
+        self.visited[0] += count as u64;
+    }
+
     /// Takes those of other views in.
     pub(super) fn add(&mut self, other: &Self) {
         self.visited.iter_mut().zip(other.visited).for_each(|(sum, count)| *sum += count);

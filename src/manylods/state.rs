@@ -21,6 +21,16 @@ pub enum Steps {
     AtMost(u32),
 }
 
+impl Steps {
+    /// Most edges.
+    pub(super) fn most(self) -> u32 {
+        match self {
+            Self::All => u32::MAX,
+            Self::AtMost(steps) => steps,
+        }
+    }
+}
+
 /// Those children of an inner node that are in a cut.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 struct Siblings {
@@ -228,10 +238,7 @@ fn advance(
     spare: &mut Vec<Siblings>,
     sink: &mut impl CutSink,
 ) -> Counts {
-    let steps = match steps {
-        Steps::All => u32::MAX,
-        Steps::AtMost(steps) => steps,
-    };
+    let steps = steps.most();
     spare.clear();
     let out = std::mem::take(spare);
     let mut frame = Frame { tree, parents, eye, steps, sink, counts: Counts::default(), out, merges: 0 };

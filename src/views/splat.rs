@@ -144,7 +144,13 @@ impl Canvas<'_> {
 
 /// Columns and rows (first, and one behind the last) of a half whose texels' middles the sphere around a cube may cover.
 #[inline]
-fn candidates(half: u32, offset: [f32; 3], length: f32, edge: f32, resolution: u32) -> Option<[[u32; 2]; 2]> {
+pub(crate) fn candidates(
+    half: u32,
+    offset: [f32; 3],
+    length: f32,
+    edge: f32,
+    resolution: u32,
+) -> Option<[[u32; 2]; 2]> {
     let radius = edge * SPHERE_OF_CUBE;
     let whole = Some([[0, resolution]; 2]);
     if length <= radius {
