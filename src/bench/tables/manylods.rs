@@ -144,7 +144,7 @@ fn on_surfaces(reference: &Reference<'_>, cuts: &SvoCuts, settings: &TableSettin
         .collect();
     let mut random = Random::new(settings.seed);
     let voxel = f64::from(cuts.tree().voxel_size());
-    let mut frames = vec![Vec::with_capacity(settings.lights as usize); FRAMES + 1];
+    let mut frames = vec![Vec::new(); FRAMES + 1];
     for _ in 0..settings.lights {
         let at = random.unit() * area;
         let [a, b, c] = reference.triangles()[areas.partition_point(|&a| a <= at).min(areas.len() - 1)];
