@@ -42,7 +42,7 @@ fn look_at(node: u32, cell: vec3<u32>, level: u32, view: ViewNode, view_index: u
         return DONE;
     }
     let is_leaf = node >= SCENE_LEAF;
-    if is_small(offset, len, max(radius, view.radius), view.radius, pass_params.scale) {
+    if is_small(offset, len, max(radius, PARALLAX * view.radius), view.radius, pass_params.scale) {
         if is_leaf {
             draw_point(view_index, offset);
         } else {
@@ -55,7 +55,7 @@ fn look_at(node: u32, cell: vec3<u32>, level: u32, view: ViewNode, view_index: u
         // From inside the leaf nothing else would be seen.
         return select(NEAR, DONE, all(abs(offset) <= vec3<f32>(edge * 0.5)));
     }
-    if view_is_leaf || (!is_leaf && 2.0 * view.radius <= radius) {
+    if view_is_leaf || (!is_leaf && PARALLAX * view.radius <= radius) {
         return SPLIT_SCENE;
     }
     return SPLIT_VIEWS;

@@ -10,6 +10,8 @@
 //! | type | hierarchy | from |
 //! |---|---|---|
 //! | [`SvoCuts`] | the octree of a bake | the root, or the last frame's cut ([`CutState`]) |
+//! | [`PointCuts`] | points bound to triangles, which may move ([`PointTree`]) | the root, or the last frame's cut ([`PointCutState`]) |
+//! | [`SvoCutsGpu`] | the octree | the root, on a GPU or by the stages' twins |
 //!
 //! It is what [`crate::megaviews`] is measured against: the same octree, maps and tests, but every view starts at the
 //! octree's root.
@@ -28,10 +30,16 @@
 //! Real-Time Global Illumination*, CGF 30(4), 2011, doi 10.1111/j.1467-8659.2011.01982.x.
 
 mod drawing;
+mod gpu;
 mod octants;
 mod passes;
+mod point_cuts;
+mod point_tree;
 mod state;
 
+pub use gpu::SvoCutsGpu;
+pub use point_cuts::{PointCutState, PointCuts};
+pub use point_tree::{NormalCone, PointTree, Sample, Sphere};
 pub use state::{CutState, Steps};
 
 use crate::views::splat::Canvas;

@@ -2,7 +2,8 @@
 
 mod support;
 
-use manyview::manylods::{CutState, Steps, SvoCuts};
+use glam::Vec3;
+use manyview::manylods::{CutState, PointCutState, PointCuts, Steps, SvoCuts};
 use manyview::views::splat::{Canvas, TexelDirections};
 use manyview::views::{Depths, View, ViewError, ViewMaps, ViewRenderer, ViewSettings};
 use manyview_shaders::paraboloid::{is_inside, texel, texel_count, texel_direction};
@@ -346,4 +347,78 @@ fn what_lists_take_is_told() {
     assert_eq!(stats.drawn, 10 * drawn);
     assert!(stats.visited > stats.drawn && stats.list_bytes > 0);
     assert!(stats.paper_list_bytes >= 8 * stats.drawn);
+}
+
+/// The inside of a cube of edge 8 around the origin, and a small triangle in it.
+fn box_of_triangles() -> Vec<[Vec3; 3]> {
+    let corner = |i: u32| Vec3::from_array([0, 1, 2].map(|axis| if i >> axis & 1 == 1 { 4.0 } else { -4.0 }));
+    let faces = [[0, 1, 3, 2], [4, 5, 7, 6], [0, 1, 5, 4], [2, 3, 7, 6], [0, 2, 6, 4], [1, 3, 7, 5]];
+    let mut triangles: Vec<[Vec3; 3]> =
+        faces.iter().flat_map(|&[a, b, c, d]| [[a, b, c], [a, c, d]].map(|t| t.map(corner))).collect();
+    triangles.push([Vec3::new(1.0, 0.0, 2.0), Vec3::new(1.5, 0.0, 2.0), Vec3::new(1.0, 0.5, 2.0)]);
+    triangles
+}
+
+#[test]
+fn points_show_a_box_and_follow_it() {
+    let mut triangles = box_of_triangles();
+    let mut cuts = PointCuts::new(&triangles, 15, 1).unwrap();
+    let settings = ViewSettings::new(16);
+    for scale in [1.0f32, 2.0] {
+        let position = [0.5, -1.0, -0.25];
+        let maps = cuts.render_views(&[View::around(position)], &settings).unwrap();
+        let (mut empty, mut wrong) = (0, 0);
+        for t in (0..512).filter(|&t| is_inside(t, 16)) {
+            let direction = texel_direction(t, 16);
+            let exact = (0..3)
+                .map(|i| (4.0 * scale * direction[i].signum() - position[i]) / direction[i])
+                .fold(f32::INFINITY, f32::min);
+            let depth = maps.depth(0, t as usize);
+            empty += u32::from(depth == f32::INFINITY);
+            wrong += u32::from(depth.is_finite() && (depth - exact).abs() > 0.35 * exact);
+        }
+        assert!(empty < 10 && wrong < 20, "{scale}: {empty} empty, {wrong} wrong");
+        triangles.iter_mut().flatten().for_each(|p| *p *= 2.0);
+        cuts.update(&triangles);
+    }
+    assert!(PointCuts::new(&[], 3, 1).is_none());
+}
+
+#[test]
+fn kept_cuts_of_points_are_basic_cuts_also_of_moving_ones() {
+    let mut numbers = Numbers(31);
+    let mut triangles = box_of_triangles();
+    let mut cuts = PointCuts::new(&triangles, 13, 1).unwrap();
+    let settings = ViewSettings::new(16);
+    let mut state = PointCutState::new();
+    let mut views = views(24, 6.0, &mut numbers);
+    for frame in 0..12 {
+        for (place, view) in views.iter_mut().enumerate() {
+            let step = [0.0, 0.05, 0.5, 3.0][place % 4];
+            view.position = view.position.map(|c| c - 0.2 + (numbers.unit() as f32 * 2.0 - 1.0) * step);
+        }
+        if frame % 3 == 2 {
+            triangles.iter_mut().flatten().for_each(|p| p.x += 0.1 * p.y);
+            cuts.update(&triangles);
+        }
+        let basic = cuts.render_views(&views, &settings).unwrap();
+        let (maps, stats) = cuts.render_frame(&mut state, &views, &settings, Steps::All).unwrap();
+        assert!(maps == basic && stats.drawn > 0, "frame {frame}");
+    }
+    for view in &mut views {
+        view.position = view.position.map(|c| c * 0.7);
+    }
+    let basic = cuts.render_views(&views, &settings).unwrap();
+    let lazy =
+        |state: &mut PointCutState| cuts.render_frame(state, &views, &settings, Steps::AtMost(1)).unwrap().0;
+    assert!((0..40).any(|_| lazy(&mut state) == basic), "lazy cuts get there");
+    let tight = ViewSettings { budget_bytes: 60_000, ..settings };
+    let (mut passes, mut together) = (0, ViewMaps::new(&settings));
+    cuts.render_passes(&views, &tight, &mut |pass| {
+        passes += 1;
+        together.append(pass);
+        Ok(())
+    })
+    .unwrap();
+    assert!(together == basic && passes > 1);
 }

@@ -11,6 +11,7 @@ use crate::raster::BARYCENTRIC_ONE;
 use crate::row_test::{LONGEST, MAX_HALVINGS, NEAR_STEPS, NORMAL_DROP, SHORTEST, TEST_RAW_BITS};
 use crate::scene_tree::SPHERE_OF_CUBE;
 use crate::testable::{MAX_NORMAL, MIN_LENGTH_SQUARED};
+use crate::views::PARALLAX;
 use crate::wide_bvh::BVH_STACK;
 
 /// Pixels that one invocation visits for one triangle along one axis; a triangle with more is done by workgroups.
@@ -96,6 +97,7 @@ pub fn wgsl() -> String {
         ("MIN_DIRECTION", MIN_DIRECTION),
         ("MIN_COSINE", MIN_COSINE),
         ("SPHERE_OF_CUBE", SPHERE_OF_CUBE),
+        ("PARALLAX", PARALLAX),
         ("CONE_SLACK", CONE_SLACK),
         ("LARGEST", f32::MAX),
     ];

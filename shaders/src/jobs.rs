@@ -7,6 +7,7 @@
 
 mod fragments;
 mod hidden_lights;
+pub mod many_lods;
 pub mod mega_views;
 mod peel;
 mod points;

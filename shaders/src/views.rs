@@ -221,8 +221,8 @@ mod tests {
     fn culled_by_angles(offset: [f32; 3], radius: f32, axis: [f32; 3], psi: f64) -> bool {
         let length = f64::from(dot(offset, offset)).sqrt();
         let alpha = (f64::from(dot(offset, axis)) / length).clamp(-1.0, 1.0).acos();
-        let distance =
-            if alpha - psi > std::f64::consts::FRAC_PI_2 { length } else { (alpha - psi).sin() * length };
+        let (sine, _) = crate::trig::sin_cos((alpha - psi).max(0.0));
+        let distance = if alpha - psi > std::f64::consts::FRAC_PI_2 { length } else { sine * length };
         alpha > psi && distance > f64::from(radius)
     }
 

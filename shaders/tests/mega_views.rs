@@ -9,7 +9,7 @@ use manyview_shaders::mega_views::{SceneParams, ViewCone, flag, half_bits};
 use manyview_shaders::paraboloid::{is_inside, texel, texel_count, texel_direction};
 use manyview_shaders::scene_tree::{NodeRef, SPHERE_OF_CUBE, SceneTree};
 use manyview_shaders::svo::{Svo, SvoLevel};
-use manyview_shaders::views::{View, ViewNode, is_culled, is_small};
+use manyview_shaders::views::{PairStep, View, ViewNode, pair_step};
 use std::collections::BTreeMap;
 
 const SETTINGS: MegaViewsSettings =
@@ -186,15 +186,15 @@ impl Walk<'_> {
         let center = self.scene.cell_center(s);
         let offset = [0, 1, 2].map(|i| center[i] - view.center[i]);
         let radius = edge * SPHERE_OF_CUBE;
-        if self.settings.culling && is_culled(offset, length(offset), radius, &view) {
-            return;
-        }
         let scale = self.settings.resolution as f32 / self.settings.texels;
-        if is_small(offset, length(offset), radius.max(view.radius), view.radius, scale) {
-            let mean = self.scene.mean(s);
-            self.keep(v, [0, 1, 2].map(|i| mean[i] - view.center[i]));
-        } else if s.is_leaf() && view.is_leaf() {
-            if !offset.iter().all(|c| c.abs() <= edge * 0.5) {
+        match pair_step(offset, radius, s.is_leaf(), &view, scale, self.settings.culling) {
+            PairStep::Drop => {}
+            PairStep::Point => {
+                let mean = self.scene.mean(s);
+                self.keep(v, [0, 1, 2].map(|i| mean[i] - view.center[i]));
+            }
+            PairStep::Near if offset.iter().all(|c| c.abs() <= edge * 0.5) => {}
+            PairStep::Near => {
                 self.near += 1;
                 self.keep(v, offset);
                 for t in 0..texel_count(self.settings.resolution) as u32 {
@@ -207,10 +207,8 @@ impl Walk<'_> {
                     }
                 }
             }
-        } else if !view.is_leaf() && (s.is_leaf() || 2.0 * view.radius > radius) {
-            view.range().for_each(|child| self.pair(s, child));
-        } else {
-            self.scene.children(s).for_each(|child| self.pair(child, v));
+            PairStep::SplitViews => view.range().for_each(|child| self.pair(s, child)),
+            PairStep::SplitScene => self.scene.children(s).for_each(|child| self.pair(child, v)),
         }
     }
 

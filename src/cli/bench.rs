@@ -106,16 +106,19 @@ pub(crate) enum TableName {
     /// Methods that draw many views: time and memory against views and texels, agreement with exact casts, levels of the
     /// octree, culling
     Views,
+    /// ManyLoDs: maps of many lights, from the root and from the last frame's cuts
+    Manylods,
 }
 
 /// The tables that are measured with all methods.
-const PAPER_TABLES: [TableName; 6] = [
+const PAPER_TABLES: [TableName; 7] = [
     TableName::Scenes,
     TableName::Lights,
     TableName::Resolution,
     TableName::Directions,
     TableName::Dynamic,
     TableName::Throughput,
+    TableName::Manylods,
 ];
 /// Lights of Table II.
 const LIGHTS: [u32; 5] = [512, 1024, 2048, 4096, 10_000];
@@ -127,6 +130,10 @@ const DIRECTION_STEPS: [u32; 3] = [30, 60, 90];
 const PAPER_SCENES: [&str; 3] = ["city:871000", "forest:626000", "park:416000"];
 /// Triangles of the deforming object of Table V.
 const BEAR_TRIANGLES: u32 = 200_000;
+/// Stand-in for the paper's Grog, with its triangle count.
+const MANYLODS_SCENES: [&str; 1] = ["hairball:1300000"];
+/// Levels of the octrees that views are drawn from.
+const MANYLODS_LEVELS: u32 = 11;
 /// Scenes of Table VI.
 const GROWING_SCENES: [&str; 3] = ["city:100000", "city:1000000", "city:10000000"];
 
@@ -217,6 +224,10 @@ pub(crate) fn run(
         done(tables::dynamic(&DynamicSettings::default(), &settings, progress)?)?;
         let gpu = methods.gpu.as_ref();
         done(tables::deforming_rows(BEAR_TRIANGLES, &DIRECTION_STEPS, &ROW_BITS[1..], gpu, progress)?)?;
+    }
+    if wanted(TableName::Manylods) {
+        let settings = TableSettings { levels: MANYLODS_LEVELS, ..settings.clone() };
+        done(tables::manylods(&scenes_or(&MANYLODS_SCENES), &[], &settings, progress)?)?;
     }
     if wanted(TableName::Throughput) {
         done(tables::throughput(&scenes_or(&GROWING_SCENES), methods, &settings, progress)?)?;

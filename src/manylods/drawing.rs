@@ -50,6 +50,11 @@ pub(super) struct Counts {
 }
 
 impl Counts {
+    /// Counts node-views whose level does not matter.
+    pub(super) fn visit(&mut self, count: usize) {
+        self.visited[0] += count as u64;
+    }
+
     /// Takes those of other views in.
     pub(super) fn add(&mut self, other: &Self) {
         self.visited.iter_mut().zip(other.visited).for_each(|(sum, count)| *sum += count);
@@ -77,16 +82,15 @@ pub(super) fn mean_offset(tree: &SceneTree, node: &SceneNode, edge: f32, eye: &E
 /// `subdivide`, or draws them too if there is no more time for it.
 #[inline(always)]
 pub(super) fn draw_children(
-    tree: &SceneTree,
+    (tree, eye): (&SceneTree, &Eye),
     (index, node): (u32, &SceneNode),
-    mask: u32,
-    octants: &Octants,
-    (edge, eye): (f32, &Eye),
+    (mask, octants): (u32, &Octants),
     sink: &mut impl CutSink,
     counts: &mut Counts,
     mut subdivide: impl FnMut(u32, u32) -> bool,
 ) {
     let level = node.level() + 1;
+    let edge = tree.cell_size(level);
     counts.visited[level as usize] += u64::from(mask.count_ones());
     if level == tree.depth {
         let place = NodeRef::LEAF | (index - tree.level_starts[tree.depth as usize - 1]) << 3;
@@ -151,7 +155,7 @@ pub(super) fn basic_cut(
                 waiting.push(child);
                 true
             };
-            draw_children(tree, (index, node), mask, &octants, (edge, eye), sink, &mut counts, subdivide);
+            draw_children((tree, eye), (index, node), (mask, &octants), sink, &mut counts, subdivide);
         }
         counts.list = counts.list.max(waiting.len() + taken.len());
     }

@@ -1,7 +1,7 @@
 //! Cuts that are kept from frame to frame.
 
 use super::drawing::{Counts, CutSink, draw_children, mean_offset};
-use super::octants::{Eye, Octants, Outcome, octant_of};
+use super::octants::{Eye, Octants, Outcome, each_bit, octant_of};
 use super::passes::{Plan, draw_pass};
 use super::{CutStats, SvoCuts};
 use crate::views::splat::{Canvas, TexelDirections};
@@ -19,6 +19,16 @@ pub enum Steps {
     All,
     /// So many edges of the hierarchy: \[ML\]'s *lazy*, with 1.
     AtMost(u32),
+}
+
+impl Steps {
+    /// Most edges.
+    pub(super) fn most(self) -> u32 {
+        match self {
+            Self::All => u32::MAX,
+            Self::AtMost(steps) => steps,
+        }
+    }
 }
 
 /// Those children of an inner node that are in a cut.
@@ -106,7 +116,7 @@ impl<S: CutSink> Frame<'_, S> {
 
     /// Moves siblings by at most `steps` edges, and draws where they come to stand.
     fn advance(&mut self, siblings: Siblings, steps: u32) {
-        let Siblings { parent, mask } = siblings;
+        let parent = siblings.parent;
         if parent == NONE {
             self.counts.visited[0] += 1;
             return match self.test(0) {
@@ -131,7 +141,6 @@ impl<S: CutSink> Frame<'_, S> {
                     node = self.parents[node as usize];
                     steps -= 1;
                 }
-                let _ = mask;
                 self.stand(node, outcome);
             }
         }
@@ -172,20 +181,12 @@ impl<S: CutSink> Frame<'_, S> {
             steps > 0
         };
         let at = (parent, node);
-        draw_children(
-            self.tree,
-            at,
-            mask,
-            &octants,
-            (edge, self.eye),
-            self.sink,
-            &mut self.counts,
-            subdivide,
-        );
+        let seen = (self.tree, self.eye);
+        draw_children(seen, at, (mask, &octants), self.sink, &mut self.counts, subdivide);
         if mask & !split != 0 {
             self.emit(Siblings { parent, mask: mask & !split });
         }
-        for octant in super::octants::each_bit(split) {
+        for octant in each_bit(split) {
             let child = children[octant as usize];
             let mask = self.tree.nodes[child as usize].child_mask();
             self.split(Siblings { parent: child, mask }, steps - 1);
@@ -228,10 +229,7 @@ fn advance(
     spare: &mut Vec<Siblings>,
     sink: &mut impl CutSink,
 ) -> Counts {
-    let steps = match steps {
-        Steps::All => u32::MAX,
-        Steps::AtMost(steps) => steps,
-    };
+    let steps = steps.most();
     spare.clear();
     let out = std::mem::take(spare);
     let mut frame = Frame { tree, parents, eye, steps, sink, counts: Counts::default(), out, merges: 0 };

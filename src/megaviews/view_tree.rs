@@ -62,9 +62,10 @@ impl SortedViews {
 
 /// The Morton key of a position, moved into the scene cube if it lies outside.
 pub fn morton_key(position: [f32; 3], scene: &SceneTree) -> u64 {
-    let cells = (1u32 << KEY_LEVELS) as f32;
+    // A product rounds alike everywhere, a quotient need not.
+    let cells_per_metre = (1u32 << KEY_LEVELS) as f32 / scene.size;
     // Casts cut off at 0.
-    let cell = [0, 1, 2].map(|i| (((position[i] - scene.origin[i]) / scene.size * cells) as u64).min(8191));
+    let cell = [0, 1, 2].map(|i| (((position[i] - scene.origin[i]) * cells_per_metre) as u64).min(8191));
     (0..KEY_LEVELS).fold(0, |key, l| {
         let digit = (0..3).fold(0, |digit, i| digit | (cell[i] >> l & 1) << i);
         key | digit << (3 * l)
@@ -96,7 +97,8 @@ impl ViewTree {
         };
         let mut nodes: Vec<ViewNode> = Vec::new();
         let mut level_starts = vec![0];
-        let mut level = vec![0..order.len()];
+        let whole: Range<usize> = 0..order.len();
+        let mut level = Vec::from([whole]);
         while !level.is_empty() {
             let next_start = (nodes.len() + level.len()) as u32;
             let split: Vec<Children> = level
@@ -236,7 +238,7 @@ pub fn merged_cone(cones: impl Iterator<Item = Cone> + Clone) -> Cone {
         return cones.clone().next().unwrap_or(all);
     }
     let length = (sum[0] * sum[0] + sum[1] * sum[1] + sum[2] * sum[2]).sqrt();
-    if !(length > CONE_SLACK) {
+    if length.is_nan() || length <= CONE_SLACK {
         return all;
     }
     let axis = sum.map(|c| c / length);

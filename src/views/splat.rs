@@ -135,7 +135,7 @@ impl Canvas<'_> {
     pub fn leaf(&mut self, offset: [f32; 3], edge: f32, node: u32) {
         let half_edge = edge * 0.5;
         let length = (offset[0] * offset[0] + offset[1] * offset[1] + offset[2] * offset[2]).sqrt();
-        if !(length > 0.0) {
+        if length.is_nan() || length <= 0.0 {
             return;
         }
         self.point(offset, node);
@@ -198,7 +198,13 @@ fn larger(a: f32, b: f32) -> f32 {
 
 /// Columns and rows (first, and one behind the last) of a half whose texels' middles the sphere around a cube may cover.
 #[inline]
-fn candidates(half: u32, offset: [f32; 3], length: f32, edge: f32, resolution: u32) -> Option<[[u32; 2]; 2]> {
+pub(crate) fn candidates(
+    half: u32,
+    offset: [f32; 3],
+    length: f32,
+    edge: f32,
+    resolution: u32,
+) -> Option<[[u32; 2]; 2]> {
     let radius = edge * SPHERE_OF_CUBE;
     let whole = Some([[0, resolution]; 2]);
     if length <= radius {

@@ -3,7 +3,7 @@ use crate::executor::CpuBinding;
 use crate::mega_views::{PAIR_SPLITS_VIEWS, PAIR_WHOLE, PassParams, SceneParams, counter};
 use crate::paraboloid::texel;
 use crate::scene_tree::{NodeRef, SPHERE_OF_CUBE, SceneNode};
-use crate::views::{ViewNode, dot, is_culled, is_small};
+use crate::views::{PairStep, ViewNode, dot, pair_step};
 
 #[derive(PartialEq)]
 enum Task {
@@ -60,25 +60,22 @@ impl Step<'_> {
         let radius = SPHERE_OF_CUBE * edge;
         let offset =
             [0, 1, 2].map(|i| self.scene.origin[i] + (cell[i] as f32 + 0.5) * edge - view.center[i]);
-        let length = dot(offset, offset).sqrt();
-        if self.pass.culling == 1 && is_culled(offset, length, radius, view) {
-            return Task::Done;
-        }
-        if is_small(offset, length, radius.max(view.radius), view.radius, self.pass.scale) {
-            let mut at = offset;
-            if !node.is_leaf() {
-                let mean = self.node(node.0).mean();
-                at = [0, 1, 2].map(|i| self.scene.origin[i] + mean[i] * edge - view.center[i]);
+        let culling = self.pass.culling == 1;
+        match pair_step(offset, radius, node.is_leaf(), view, self.pass.scale, culling) {
+            PairStep::Drop => Task::Done,
+            PairStep::Point => {
+                let mut at = offset;
+                if !node.is_leaf() {
+                    let mean = self.node(node.0).mean();
+                    at = [0, 1, 2].map(|i| self.scene.origin[i] + mean[i] * edge - view.center[i]);
+                }
+                self.draw_point(view_index, at);
+                Task::Done
             }
-            self.draw_point(view_index, at);
-            return Task::Done;
-        }
-        match (node.is_leaf(), view.is_leaf()) {
-            (true, true) if offset.iter().all(|c| c.abs() <= edge * 0.5) => Task::Done,
-            (true, true) => Task::Near,
-            (false, true) => Task::SplitScene,
-            (false, false) if 2.0 * view.radius <= radius => Task::SplitScene,
-            _ => Task::SplitViews,
+            PairStep::Near if offset.iter().all(|c| c.abs() <= edge * 0.5) => Task::Done,
+            PairStep::Near => Task::Near,
+            PairStep::SplitScene => Task::SplitScene,
+            PairStep::SplitViews => Task::SplitViews,
         }
     }
 }

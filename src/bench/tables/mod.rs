@@ -8,6 +8,7 @@
 //! | IV | [`directions`] | error against sampled directions |
 //! | V | [`dynamic`], [`deforming_rows`] | moving and deforming objects |
 //! | VI | [`throughput`] | rays a second against triangles |
+//! | 1 of \[ML\] | [`manylods()`] | time and lists of the maps of many lights |
 //!
 //! and, of methods that draw many views, [`view_growth`], [`view_agreement`], [`view_resolutions`], [`view_levels`] and
 //! [`view_culling`].
@@ -21,6 +22,7 @@ mod actors;
 mod dynamic;
 mod errors;
 mod images;
+mod manylods;
 mod measure;
 mod methods;
 mod subject;
@@ -30,6 +32,7 @@ mod views;
 pub use dynamic::{DynamicSettings, deforming_rows, dynamic};
 pub use errors::Errors;
 pub use images::{directions, lights, resolution, scenes, throughput};
+pub use manylods::{RivalOf, manylods};
 pub use measure::{Measured, Measurement};
 pub use methods::{Method, MethodSource, OurMethods};
 pub use subject::Subject;

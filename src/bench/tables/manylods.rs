@@ -1,0 +1,179 @@
+//! \[ML\] Table 1: the time of the maps of 1,024 virtual point lights, method by method, and what lists take.
+
+use super::TableSettings;
+use super::subject::Subject;
+use crate::bench::table::{Cell, Table};
+use crate::bench::{BenchError, BenchScene, Random, SceneSource};
+use crate::manylods::{CutState, CutStats, Steps, SvoCuts};
+use crate::reference::{Reference, area_normal};
+use crate::rivals::ism::{IsmOptions, IsmVisibility};
+use crate::views::{View, ViewError, ViewRenderer, ViewSettings};
+use crate::visibility::{LightPoint, Receiver, Visibility, light_words};
+use glam::DVec3;
+use manyview_pipeline::bake::Progress;
+use manyview_shaders::scene_tree::SceneTree;
+use std::f32::consts::FRAC_PI_2;
+use std::sync::Arc;
+use std::time::Instant;
+
+/// Frames that kept cuts are timed over.
+const FRAMES: usize = 8;
+
+/// Another renderer to time beside ours, such as rasterized maps: made for a scene.
+pub type RivalOf<'a> = dyn Fn(&Subject<'_>) -> Result<Box<dyn ViewRenderer>, BenchError> + 'a;
+
+/// Time and memory of the maps of [`TableSettings::lights`] views that lie on surfaces, a half space each, and move slowly.
+/// `rivals` are timed beside.
+pub fn manylods(
+    scenes: &[SceneSource],
+    rivals: &[(&'static str, &RivalOf<'_>)],
+    settings: &TableSettings,
+    progress: &dyn Progress,
+) -> Result<Table, BenchError> {
+    let title = format!("Maps of {} lights on surfaces", settings.lights);
+    let columns = [
+        "scene",
+        "leaves",
+        "method",
+        "ms",
+        "us a view",
+        "drawn a view",
+        "tested a view",
+        "list KiB",
+        "paper's KiB",
+    ];
+    let mut table = Table::new("manylods", title, &columns);
+    progress.begin("maps", scenes.len() as u64, "scenes");
+    for source in scenes {
+        if progress.cancelled() {
+            return Err(BenchError::Cancelled);
+        }
+        let scene = BenchScene::load(source)?;
+        one_scene(&scene, rivals, settings, &mut table)?;
+        progress.advance(1);
+    }
+    Ok(table)
+}
+
+fn one_scene(
+    scene: &BenchScene,
+    rivals: &[(&'static str, &RivalOf<'_>)],
+    settings: &TableSettings,
+    table: &mut Table,
+) -> Result<(), BenchError> {
+    let subject = Subject::new(scene, settings.levels, [64, 64])?;
+    let failed = |source: ViewError| BenchError::Views { method: "manylods".to_owned(), source };
+    let load = |error| BenchError::Load { scene: scene.name.clone(), source: Box::new(error) };
+    let cuts = SvoCuts::new(Arc::new(SceneTree::new(&subject.archive.svo().map_err(load)?, false)));
+    let reference = subject.judge.reference();
+    let frames = on_surfaces(reference, &cuts, settings);
+    let leaves = u64::from(cuts.tree().leaf_count());
+    let mut push = |method: &str, seconds: f64, stats: Option<CutStats>| {
+        let a_view = |count: u64| Cell::Number(count as f64 / f64::from(settings.lights), 1);
+        let kib = |bytes: u64| Cell::Number(bytes as f64 / 1024.0, 1);
+        let mut row = vec![Cell::Text(scene.name.clone()), Cell::Count(leaves), method.into()];
+        row.push(Cell::Number(1e3 * seconds, 2));
+        row.push(Cell::Number(1e6 * seconds / f64::from(settings.lights), 2));
+        row.extend(match stats {
+            Some(s) => [a_view(s.drawn), a_view(s.visited), kib(s.list_bytes), kib(s.paper_list_bytes)],
+            None => [Cell::None, Cell::None, Cell::None, Cell::None],
+        });
+        table.push(row);
+    };
+    let maps = ViewSettings::new(16);
+
+    for (name, rival) in rivals {
+        let rival = rival(&subject)?;
+        let seconds = best_of(settings.repeats, || rival.render_views(&frames[0], &maps).map(|_| ()))
+            .map_err(|source| BenchError::Views { method: (*name).to_owned(), source })?;
+        push(name, seconds, None);
+    }
+    let ism = IsmVisibility::new(reference, IsmOptions { resolution: 16, ..IsmOptions::default() });
+    let lights: Vec<LightPoint> = frames[0].iter().map(|view| LightPoint::at(view.position)).collect();
+    // One receiver: the time is that of the maps.
+    let receiver = [Receiver { position: frames[0][0].position, normal: [0.0; 3] }];
+    let mut hidden = vec![0; light_words(lights.len())];
+    let mut seconds = f64::INFINITY;
+    for _ in 0..settings.repeats {
+        let begun = Instant::now();
+        ism.hidden_lights(&receiver, &lights, &mut hidden)
+            .map_err(|source| BenchError::Method { method: "ism".to_owned(), source })?;
+        seconds = seconds.min(begun.elapsed().as_secs_f64());
+    }
+    push("imperfect shadow maps, 8,192 points", seconds, None);
+
+    let mut stats = CutStats::default();
+    let seconds = best_of(settings.repeats, || {
+        stats = cuts.render_counted(&frames[0], &maps, &mut |_| Ok(()))?;
+        Ok(())
+    })
+    .map_err(failed)?;
+    push("basic", seconds, Some(stats));
+    for (name, steps) in [("incremental", Steps::All), ("lazy", Steps::AtMost(1))] {
+        let mut state = CutState::new();
+        cuts.render_frame(&mut state, &frames[0], &maps, Steps::All).map_err(failed)?;
+        let begun = Instant::now();
+        for views in &frames[1..] {
+            (_, stats) = cuts.render_frame(&mut state, views, &maps, steps).map_err(failed)?;
+        }
+        push(name, begun.elapsed().as_secs_f64() / (frames.len() - 1) as f64, Some(stats));
+    }
+    Ok(())
+}
+
+fn best_of(times: u32, mut work: impl FnMut() -> Result<(), ViewError>) -> Result<f64, ViewError> {
+    let mut best = f64::INFINITY;
+    for _ in 0..times.max(1) {
+        let begun = Instant::now();
+        work()?;
+        best = best.min(begun.elapsed().as_secs_f64());
+    }
+    Ok(best)
+}
+
+/// Views two voxels off surfaces, every spot as likely; from frame to frame each moves by a quarter of a voxel.
+fn on_surfaces(reference: &Reference<'_>, cuts: &SvoCuts, settings: &TableSettings) -> Vec<Vec<View>> {
+    let mut area = 0.0;
+    let areas: Vec<f64> = reference
+        .triangles()
+        .iter()
+        .map(|triangle| {
+            area += area_normal(triangle).length();
+            area
+        })
+        .collect();
+    let mut random = Random::new(settings.seed);
+    let voxel = f64::from(cuts.tree().voxel_size());
+    let mut frames = vec![Vec::new(); FRAMES + 1];
+    for _ in 0..settings.lights {
+        let at = random.unit() * area;
+        let [a, b, c] = reference.triangles()[areas.partition_point(|&a| a <= at).min(areas.len() - 1)];
+        let (mut s, mut t) = (random.unit(), random.unit());
+        if s + t > 1.0 {
+            (s, t) = (1.0 - s, 1.0 - t);
+        }
+        let normal = area_normal(&[a, b, c]).normalize_or_zero();
+        let along = (b - a).normalize_or(DVec3::X) * voxel * 0.25;
+        let start = a + (b - a) * s + (c - a) * t + normal * voxel * 2.0;
+        for (number, views) in frames.iter_mut().enumerate() {
+            let position = start + along * number as f64;
+            views.push(View::new(position.as_vec3().to_array(), normal.as_vec3().to_array(), FRAC_PI_2));
+        }
+    }
+    frames
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use manyview_pipeline::bake::Silent;
+
+    #[test]
+    fn every_method_has_a_row() {
+        let settings = TableSettings { lights: 20, levels: 6, repeats: 1, ..TableSettings::default() };
+        let table = manylods(&["town:2000".parse().unwrap()], &[], &settings, &Silent).unwrap();
+        let methods: Vec<&Cell> = table.rows.iter().map(|row| &row[2]).collect();
+        assert_eq!(methods[1..], [&"basic".into(), &"incremental".into(), &"lazy".into()]);
+        assert!(table.rows.iter().all(|row| matches!(row[3], Cell::Number(ms, _) if ms > 0.0)));
+    }
+}
