@@ -26,7 +26,9 @@ use half::f16;
 use manyview_shaders::paraboloid::texel_count;
 use manyview_shaders::scene_tree::{NodeRef, SceneTree};
 use std::sync::Arc;
-use traverse::{DepthsMut, Output, Traversal};
+use std::sync::atomic::Ordering;
+use std::time::Instant;
+use traverse::{Counters, DepthsMut, Output, Traversal};
 use view_tree::{SortedViews, ViewTree};
 
 pub use view_tree::Sharing;
@@ -79,7 +81,41 @@ impl ViewRenderer for MegaViews {
         settings: &ViewSettings,
         sink: &mut PassSink<'_>,
     ) -> Result<(), ViewError> {
+        self.render_counted(views, settings, sink).map(|_| ())
+    }
+}
+
+/// What drawing came to.
+#[derive(Debug, Clone, Copy, Default, PartialEq)]
+pub struct DrawStats {
+    /// Views that were drawn.
+    pub views: u64,
+    /// Nodes of the view hierarchy, once a pass that they are in.
+    pub view_nodes: u64,
+    /// Scene nodes drawn as points.
+    pub points: u64,
+    /// Leaves drawn as what they are.
+    pub near_leaves: u64,
+    /// Views that a drawn node is drawn for, on average: the sharing factor.
+    pub sharing: f64,
+    /// Sorting views and building their hierarchy.
+    pub hierarchy_seconds: f64,
+    /// Culling, subdivision and drawing: time of all threads together.
+    pub draw_seconds: f64,
+    /// Handing maps down: time of all threads together.
+    pub fuse_seconds: f64,
+}
+
+impl MegaViews {
+    /// As [`ViewRenderer::render_passes`], and says what it came to.
+    pub fn render_counted(
+        &self,
+        views: &[View],
+        settings: &ViewSettings,
+        sink: &mut PassSink<'_>,
+    ) -> Result<DrawStats, ViewError> {
         settings.check()?;
+        let clock = Instant::now();
         if settings.with_colors && self.scene.colors.is_empty() {
             let problem = "was given a scene without colours; load it with them";
             return Err(ViewError::Unsupported { method: "megaviews", problem });
@@ -96,21 +132,58 @@ impl ViewRenderer for MegaViews {
             sink(pass)?;
         }
         if sorted.order.is_empty() {
-            return Ok(());
+            return Ok(DrawStats::default());
         }
         let leaves_per_pass = leaves_per_pass(views.len(), settings)?;
         let tree = ViewTree::new(views, &sorted.order, &sorted.keys, self.scene.depth, self.sharing);
         let leaves = leaves_depth_first(&tree);
+        let hierarchy_seconds = clock.elapsed().as_secs_f64();
+        let counters = Counters::default();
+        let frame =
+            Frame { tree: &tree, order: &sorted.order, settings, texels: &texels, counters: &counters };
         for (pass, leaves) in leaves.chunks(leaves_per_pass).enumerate() {
-            let first = pass * leaves_per_pass;
-            sink(self.pass(&tree, &sorted.order, leaves, first, settings, &texels))?;
+            sink(self.pass(&frame, leaves, pass * leaves_per_pass))?;
         }
-        Ok(())
+        Ok(counters.stats(sorted.order.len() as u64, hierarchy_seconds))
+    }
+}
+
+impl Counters {
+    fn stats(&self, views: u64, hierarchy_seconds: f64) -> DrawStats {
+        let [view_nodes, points, near_leaves, drawn_for_views, draw, fuse] = [
+            &self.view_nodes,
+            &self.points,
+            &self.near_leaves,
+            &self.drawn_for_views,
+            &self.draw_nanoseconds,
+            &self.fuse_nanoseconds,
+        ]
+        .map(|counter| counter.load(Ordering::Relaxed));
+        DrawStats {
+            views,
+            view_nodes,
+            points,
+            near_leaves,
+            sharing: drawn_for_views as f64 / (points + near_leaves).max(1) as f64,
+            hierarchy_seconds,
+            draw_seconds: draw as f64 * 1e-9,
+            fuse_seconds: fuse as f64 * 1e-9,
+        }
     }
 }
 
 fn undrawable(views: &[View]) -> Vec<u32> {
     (0u32..).zip(views).filter(|(_, view)| !view.is_drawable()).map(|(i, _)| i).collect()
+}
+
+/// What the passes of one drawing have in common.
+#[derive(Clone, Copy)]
+struct Frame<'a> {
+    tree: &'a ViewTree,
+    order: &'a [u32],
+    settings: &'a ViewSettings,
+    texels: &'a TexelDirections,
+    counters: &'a Counters,
 }
 
 /// How many maps fit the budget at once.
@@ -132,15 +205,8 @@ fn leaves_per_pass(views: usize, settings: &ViewSettings) -> Result<usize, ViewE
 
 impl MegaViews {
     /// The maps of a run of the hierarchy's leaves, of which the first is number `first`.
-    fn pass(
-        &self,
-        tree: &ViewTree,
-        order: &[u32],
-        leaves: &[u32],
-        first: usize,
-        settings: &ViewSettings,
-        texels: &TexelDirections,
-    ) -> ViewMaps {
+    fn pass(&self, frame: &Frame<'_>, leaves: &[u32], first: usize) -> ViewMaps {
+        let Frame { tree, order, settings, texels, counters } = *frame;
         let count = leaves.len() * texel_count(settings.resolution);
         let mut nodes = vec![u32::MAX; if settings.with_colors { count } else { 0 }];
         let traversal = Traversal {
@@ -152,6 +218,7 @@ impl MegaViews {
             with_nodes: settings.with_colors,
             simd: self.simd,
             leaves: first..first + leaves.len(),
+            counters,
         };
         let depths = if settings.half_depths {
             let mut depths = vec![f16::ZERO; count];

@@ -1,18 +1,28 @@
 //! `manyview bench`.
 
+use glam::Vec3;
 use manyview::bench::tables::{
-    self, DynamicSettings, NamedRenderer, OurMethods, Renderers, TableSettings, ViewSubject,
+    self, DynamicSettings, NamedRenderer, OurMethods, Renderers, TableSettings, ViewKind, ViewSubject,
     ViewTableSettings,
 };
 use manyview::bench::variants::{Detail, variants};
 use manyview::bench::{BenchError, BenchScene, RunInfo, SceneSource, Table, rows, voxels};
+use manyview::exact::ExactRays;
 use manyview::gpu::{AdapterChoice, GpuContext};
+use manyview::megaviews::{MegaViews, Sharing};
+use manyview::preview::CameraChoice;
+use manyview::radiosity::{self, Primaries, VplOptions};
 use manyview::rays::paper::OriginBias;
 use manyview::reference::Reference;
+use manyview::render::lights::point_light;
+use manyview::render::scene::{RenderScene, SceneError};
 use manyview::views::ViewError;
 use manyview::views::methods::{Ingredients, ViewMethod, renderer};
 use manyview_pipeline::bake;
+use manyview_pipeline::scene::PunctualLight;
+use manyview_shaders::scene_tree::SceneTree;
 use std::path::PathBuf;
+use std::sync::Arc;
 
 use super::Format;
 use super::cancel;
@@ -237,6 +247,8 @@ pub(crate) fn run(
 
 /// Octree levels that the table of views compares with.
 const COARSE_LEVELS: u32 = 8;
+/// Cuts as of ManyLoDs, without lists, by the vector code of MegaViews: what sharing alone gains is seen beside it.
+const ALONE: &str = "manylods-alone";
 /// Views whose maps are compared with exact casts, each in 2 · 64 · R² rays.
 const COMPARED_VIEWS: u32 = 64;
 /// Numbers of views.
@@ -261,19 +273,55 @@ fn views(
     let coarse = ViewSubject::new(scene, COARSE_LEVELS)?;
     let fine = ViewSubject::new(scene, args.levels)?;
     let made = view_renderers(&fine, &reference, gpu, &args.methods)?;
-    let kinds = [fine.surface_views(args.seed), fine.random_views(args.seed)];
+    let lamp = Lamp::new(scene)?;
+    let exact = ExactRays::new(lamp.scene.reference());
+    let primaries = Primaries::new(&lamp.scene, exact.reference(), &lamp.lights);
+    let bounced = |bounces: u32| {
+        let (lamp, exact, primaries) = (&lamp, &exact, &primaries);
+        // Off the surface's own voxel.
+        let lift_metres = 1.5 * (fine.svo.size / f64::from(1u32 << fine.svo.depth())) as f32;
+        let make = move |count: u32| {
+            let options = VplOptions { count: count as usize, bounces, seed: args.seed, indirect_only: true };
+            let found = radiosity::trace(&lamp.scene, exact, primaries, &options);
+            found.lights.iter().map(|light| light.view(lift_metres)).collect()
+        };
+        ViewKind { name: format!("{bounces}-bounce"), make: Box::new(make) }
+    };
+    let kinds = [bounced(1), bounced(4), fine.random_views(args.seed)];
     let counts: Vec<u32> = VIEW_COUNTS.into_iter().filter(|&count| count <= args.views).collect();
     let counts = if counts.is_empty() { vec![args.views] } else { counts };
     done(tables::view_growth(&fine, &kinds, &counts, &made, &settings, progress)?)?;
+    done(tables::view_work(&fine, &kinds, &counts, &settings, progress)?)?;
     let compared = COMPARED_VIEWS.min(args.views);
     done(tables::view_agreement(&fine, &kinds, compared, &[16, 64], &made, &settings, progress)?)?;
-    let [surface, _] = &kinds;
+    let [bounced, ..] = &kinds;
     let some = args.views.min(VIEW_COUNTS[0]);
-    done(tables::view_resolutions(&fine, surface, some, &VIEW_RESOLUTIONS, &made, &settings, progress)?)?;
+    done(tables::view_resolutions(&fine, bounced, some, &VIEW_RESOLUTIONS, &made, &settings, progress)?)?;
     done(tables::view_culling(&fine, &kinds, some, &made, &settings, progress)?)?;
     let over_coarse = view_renderers(&coarse, &reference, gpu, &args.methods)?;
     let both: [(&ViewSubject, &Renderers<'_>); 2] = [(&coarse, &over_coarse), (&fine, &made)];
-    done(tables::view_levels(&both, surface, [some, compared], &settings, progress)?)
+    done(tables::view_levels(&both, bounced, [some, compared], &settings, progress)?)
+}
+
+/// One light in a scene, where a camera would stand: virtual lights come from it.
+struct Lamp {
+    scene: RenderScene,
+    lights: Vec<PunctualLight>,
+}
+
+impl Lamp {
+    fn new(scene: &BenchScene) -> Result<Self, BenchError> {
+        let unusable = |error: SceneError| match error {
+            SceneError::Unusable(source) => BenchError::Scene { scene: scene.name.clone(), source },
+            SceneError::Load(source) => {
+                BenchError::Load { scene: scene.name.clone(), source: Box::new(source) }
+            }
+        };
+        let lit = RenderScene::new(scene.scene.clone()).map_err(unusable)?;
+        let camera = lit.choose_camera(1.0, CameraChoice::Inside).map_err(unusable)?;
+        let lights = vec![point_light(camera.eye.as_vec3(), Vec3::ONE)];
+        Ok(Self { scene: lit, lights })
+    }
 }
 
 /// All methods, or those that are named; on a GPU too, if there is one, with `-gpu` behind their names.
@@ -306,6 +354,11 @@ fn view_renderers<'a>(
                 Err(source) => return Err(BenchError::Views { method: name, source }),
             }
         }
+    }
+    known.push(ALONE.to_owned());
+    if names.is_empty() || names.iter().any(|name| name == ALONE) {
+        let scene = Arc::new(SceneTree::new(&subject.svo, false));
+        made.push((ALONE.to_owned(), Box::new(MegaViews::new(scene).with_sharing(Sharing::Alone))));
     }
     match names.iter().find(|name| !known.contains(name)) {
         Some(name) => Err(BenchError::NoSuchMethod { name: name.clone(), known: known.join(", ") }),

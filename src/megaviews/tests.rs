@@ -274,6 +274,32 @@ fn passes_threads_and_vector_instructions_change_nothing() {
 }
 
 #[test]
+fn views_alone_are_drawn_as_if_there_were_no_others() {
+    let scene = scattered(7, 4000, 41);
+    let views = random_views(60, 7000, FRAC_PI_2, 42);
+    let settings = ViewSettings { with_colors: true, ..ViewSettings::default() };
+    let together = draw(&scene, Sharing::Alone, &views, &settings);
+    for (i, view) in views.iter().enumerate() {
+        let alone = draw(&scene, Sharing::None, &[*view], &settings);
+        assert_eq!(together.view_depths(i), alone.view_depths(0));
+    }
+}
+
+#[test]
+fn sharing_is_counted() {
+    let scene = room(6);
+    let views = vec![View::around([0.1, 0.2, 0.3]); 10];
+    let count = |sharing: Sharing| {
+        let renderer = MegaViews::new(Arc::new(scene.clone())).with_sharing(sharing);
+        renderer.render_counted(&views, &ViewSettings::default(), &mut |_| Ok(())).unwrap()
+    };
+    let (shared, alone) = (count(Sharing::Voxel), count(Sharing::Alone));
+    assert_eq!((shared.views, shared.view_nodes, shared.sharing), (10, 1, 10.0));
+    assert_eq!((alone.view_nodes, alone.sharing), (11, 1.0));
+    assert_eq!(alone.points, 10 * shared.points);
+}
+
+#[test]
 fn sixteen_bits_hold_depths_to_a_two_thousandth() {
     let scene = room(5);
     let views = random_views(30, 7000, PI, 31);

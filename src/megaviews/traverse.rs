@@ -23,6 +23,8 @@ use manyview_shaders::scene_tree::{NodeRef, SPHERE_OF_CUBE, SceneTree};
 use manyview_shaders::views::{PARALLAX, ViewNode, splits_views};
 use rayon::prelude::*;
 use std::ops::Range;
+use std::sync::atomic::{AtomicU64, Ordering};
+use std::time::Instant;
 
 /// View nodes with more leaves than that hand their children to other threads.
 const LEAVES_PER_TASK: u32 = 32;
@@ -49,6 +51,20 @@ pub(super) struct Traversal<'a> {
     pub(super) simd: SimdLevel,
     /// The leaves to draw, counted depth first. Others are passed by, which changes no map.
     pub(super) leaves: Range<usize>,
+    pub(super) counters: &'a Counters,
+}
+
+/// What a traversal did, counted by all threads.
+#[derive(Debug, Default)]
+pub(super) struct Counters {
+    pub(super) view_nodes: AtomicU64,
+    pub(super) points: AtomicU64,
+    pub(super) near_leaves: AtomicU64,
+    /// Points and near leaves, each times the views that it is drawn for.
+    pub(super) drawn_for_views: AtomicU64,
+    /// Time of all threads, nanoseconds.
+    pub(super) draw_nanoseconds: AtomicU64,
+    pub(super) fuse_nanoseconds: AtomicU64,
 }
 
 /// Where the maps of a view node's leaves go.
@@ -132,6 +148,8 @@ pub(super) struct Level {
     depths: Vec<f32>,
     nodes: Vec<u32>,
     passed_down: Pending,
+    points: u64,
+    near_leaves: u64,
 }
 
 impl Traversal<'_> {
@@ -162,10 +180,21 @@ impl Traversal<'_> {
         level.nodes.clear();
         level.nodes.resize(if self.with_nodes { count } else { 0 }, u32::MAX);
         level.passed_down.clear();
+        (level.points, level.near_leaves) = (0, 0);
+        let clock = Instant::now();
         draw_node(self.simd, self, node, inherited, &mut level, &mut scratch.queue);
+        let drawn = clock.elapsed();
         if let Some(parent) = parent {
             self.fuse(node, parent, &mut level);
         }
+        let add = |counter: &AtomicU64, more: u64| _ = counter.fetch_add(more, Ordering::Relaxed);
+        add(&self.counters.view_nodes, 1);
+        add(&self.counters.points, level.points);
+        add(&self.counters.near_leaves, level.near_leaves);
+        let views = u64::from(self.views.views_below[index]);
+        add(&self.counters.drawn_for_views, (level.points + level.near_leaves) * views);
+        add(&self.counters.draw_nanoseconds, drawn.as_nanos() as u64);
+        add(&self.counters.fuse_nanoseconds, (clock.elapsed() - drawn).as_nanos() as u64);
         if node.is_leaf() {
             output.write(&level);
         } else {
@@ -208,7 +237,7 @@ impl Traversal<'_> {
     /// All pairs of a view node.
     #[inline(always)]
     fn draw(&self, view: &ViewNode, inherited: &Pending, level: &mut Level, queue: &mut Vec<u32>) {
-        let Level { depths, nodes, passed_down } = level;
+        let Level { depths, nodes, passed_down, points: point_count, near_leaves } = level;
         let mut canvas = Canvas { texels: self.texels, depths, nodes };
         let mut points = Points::new();
         for start in (0..inherited.numbers.len()).step_by(LANES) {
@@ -236,6 +265,7 @@ impl Traversal<'_> {
                 } else if splits_views(edge * SPHERE_OF_CUBE, node.is_leaf(), view) {
                     passed_down.push_from(inherited, start + lane);
                 } else if node.is_leaf() {
+                    points.near_leaves += 1;
                     near(&mut canvas, offset, edge, node.0);
                 } else {
                     queue.push(node.0);
@@ -258,6 +288,7 @@ impl Traversal<'_> {
         }
         queue.clear();
         points.flush(&mut canvas);
+        (*point_count, *near_leaves) = (points.total, points.near_leaves);
     }
 
     /// The pairs of a scene node's children: [`step`] for all eight octants at a time.
@@ -310,6 +341,7 @@ impl Traversal<'_> {
             if split_views {
                 passed_down.push([centers[0][at], centers[1][at], centers[2][at]], edge, number);
             } else if leaves {
+                points.near_leaves += 1;
                 near(canvas, [offset[0][at], offset[1][at], offset[2][at]], edge, number);
             } else {
                 queue.push(number);
@@ -406,6 +438,9 @@ fn bits(mut mask: u32) -> impl Iterator<Item = u32> {
 /// Scene nodes to be drawn as points, collected so that they are projected many at a time.
 struct Points {
     count: usize,
+    /// How many there were, and leaves that were no points.
+    total: u64,
+    near_leaves: u64,
     /// From the view node's middle to the cells'.
     offsets: [[f32; POINTS]; 3],
     /// [`manyview_shaders::scene_tree::SceneNode`]'s word 1, or [`MEAN_OF_LEAF`].
@@ -419,6 +454,8 @@ impl Points {
     fn new() -> Self {
         Self {
             count: 0,
+            total: 0,
+            near_leaves: 0,
             offsets: [[0.0; POINTS]; 3],
             means: [0; POINTS],
             edges: [0.0; POINTS],
@@ -452,6 +489,7 @@ impl Points {
             }
         }
         canvas.points(&offsets, &self.numbers, self.count);
+        self.total += self.count as u64;
         self.count = 0;
     }
 }

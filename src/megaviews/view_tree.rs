@@ -34,6 +34,8 @@ pub enum Sharing {
     Voxel,
     /// None: the map of every view is from its own position.
     None,
+    /// Not even work is shared: every view begins at the scene's root. \[ML\]'s cuts, by the means of \[MV\].
+    Alone,
 }
 
 /// Drawable views in Morton order.
@@ -81,6 +83,8 @@ pub struct ViewTree {
     pub level_starts: Vec<u32>,
     /// For each node how many leaves are below it, itself included.
     pub leaves_below: Vec<u32>,
+    /// For each node how many views are below it.
+    pub views_below: Vec<u32>,
 }
 
 impl ViewTree {
@@ -88,6 +92,9 @@ impl ViewTree {
     /// view at least.
     pub fn new(views: &[View], order: &[u32], keys: &[u64], depth: u32, sharing: Sharing) -> Self {
         assert!(!order.is_empty() && order.len() == keys.len(), "a key for each of some views");
+        if sharing == Sharing::Alone {
+            return Self::flat(views, order);
+        }
         let shift = 3 * (KEY_LEVELS - depth.min(KEY_LEVELS));
         let is_leaf = |range: &Range<usize>| {
             let shares = sharing == Sharing::Voxel
@@ -96,6 +103,7 @@ impl ViewTree {
             range.len() == 1 || shares
         };
         let mut nodes: Vec<ViewNode> = Vec::new();
+        let mut views_below = Vec::new();
         let mut level_starts = vec![0];
         let whole: Range<usize> = 0..order.len();
         let mut level = Vec::from([whole]);
@@ -118,13 +126,31 @@ impl ViewTree {
                     next.extend(children.ranges());
                 }
                 nodes.push(node);
+                views_below.push(range.len() as u32);
             }
             level_starts.push(nodes.len() as u32);
             level = next;
         }
-        let mut tree = Self { leaves_below: vec![1; nodes.len()], nodes, level_starts };
+        let mut tree = Self { leaves_below: vec![1; nodes.len()], nodes, level_starts, views_below };
         tree.merge(views, order);
         tree
+    }
+
+    /// A root that nothing can be drawn for, and every view below it.
+    fn flat(views: &[View], order: &[u32]) -> Self {
+        let count = order.len() as u32;
+        let all = View::around(views[order[0] as usize].position);
+        let mut nodes = vec![ViewNode { radius: f32::INFINITY, count, ..ViewNode::of_view(&all, 1) }];
+        nodes
+            .extend((0..count).map(|place| ViewNode::of_view(&views[order[place as usize] as usize], place)));
+        let mut below = vec![1; nodes.len()];
+        below[0] = count;
+        Self {
+            level_starts: vec![0, 1, nodes.len() as u32],
+            nodes,
+            leaves_below: below.clone(),
+            views_below: below,
+        }
     }
 
     /// Spheres and cones, bottom-up.

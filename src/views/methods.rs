@@ -4,7 +4,9 @@ use super::{OctreeSurfaces, RayCast, ViewError, ViewRenderer};
 #[cfg(feature = "bake")]
 use super::{Polygons, TriangleSurfaces};
 use crate::gpu::GpuContext;
+use crate::manylods::{SvoCuts, SvoCutsGpu};
 use crate::megaviews::MegaViews;
+use crate::megaviews::gpu::MegaViewsGpu;
 #[cfg(feature = "bake")]
 use crate::reference::Reference;
 use manyview_shaders::scene_tree::SceneTree;
@@ -48,9 +50,9 @@ impl ViewMethod {
         matches!(self, Self::RayCastTriangles | Self::Polygons)
     }
 
-    /// Whether it can run on a GPU: none can yet.
+    /// Whether it can run on a GPU.
     pub fn runs_on_gpu(self) -> bool {
-        false
+        matches!(self, Self::MegaViews | Self::ManyLods)
     }
 }
 
@@ -94,10 +96,15 @@ pub fn renderer<'a>(
     let missing = |problem| ViewError::Unsupported { method: method.name(), problem };
     let svo = || ingredients.svo.ok_or_else(|| missing("needs an octree: name an archive"));
     Ok(match method {
-        ViewMethod::MegaViews => {
-            Box::new(MegaViews::new(Arc::new(SceneTree::new(svo()?, ingredients.with_colors))))
+        ViewMethod::MegaViews | ViewMethod::ManyLods => {
+            let scene = SceneTree::new(svo()?, ingredients.with_colors);
+            match (method, ingredients.gpu) {
+                (ViewMethod::MegaViews, None) => Box::new(MegaViews::new(Arc::new(scene))),
+                (ViewMethod::MegaViews, Some(gpu)) => Box::new(MegaViewsGpu::on_gpu(gpu, &scene)?),
+                (_, None) => Box::new(SvoCuts::new(Arc::new(scene))),
+                (_, Some(gpu)) => Box::new(SvoCutsGpu::on_gpu(gpu, &scene)?),
+            }
         }
-        ViewMethod::ManyLods => return Err(missing("is not there yet: use megaviews or raycast")),
         ViewMethod::RayCast => Box::new(RayCast::new(OctreeSurfaces::new(svo()?, ingredients.with_colors))),
         #[cfg(feature = "bake")]
         ViewMethod::RayCastTriangles | ViewMethod::Polygons => {

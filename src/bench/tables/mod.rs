@@ -27,6 +27,7 @@ mod measure;
 mod methods;
 mod subject;
 mod view_measure;
+mod view_work;
 mod views;
 
 pub use dynamic::{DynamicSettings, deforming_rows, dynamic};
@@ -37,6 +38,7 @@ pub use measure::{Measured, Measurement};
 pub use methods::{Method, MethodSource, OurMethods};
 pub use subject::Subject;
 pub use view_measure::Drawn;
+pub use view_work::view_work;
 pub use views::{
     NamedRenderer, Renderers, ViewKind, ViewSubject, ViewTableSettings, view_agreement, view_culling,
     view_growth, view_levels, view_resolutions,
