@@ -135,7 +135,7 @@ fn hierarchies_are_those_of_the_cpu(context: &GpuContext) -> Result<(), Failed> 
 fn differing(found: &[u32], expected: &[u32]) -> f64 {
     let wrong = found.iter().zip(expected).filter(|&(&a, &b)| {
         let [a, b] = [a, b].map(f32::from_bits);
-        a != b && !((a - b).abs() <= 1e-4 * b)
+        a != b && ((a - b).abs() > 1e-4 * b || (a - b).is_nan())
     });
     wrong.count() as f64 / expected.len() as f64
 }

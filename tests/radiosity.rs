@@ -93,7 +93,7 @@ fn sphere(cuts: u32) -> Vec<[Vec3; 3]> {
         triangles = triangles
             .into_iter()
             .flat_map(|[a, b, c]| {
-                let [ab, bc, ca] = [a + b, b + c, c + a].map(Vec3::normalize);
+                let [ab, bc, ca] = [a + b, b + c, c + a].map(Vec3::normalize_or_zero);
                 [[a, ab, ca], [ab, b, bc], [ca, bc, c], [ab, bc, ca]]
             })
             .collect();

@@ -114,9 +114,9 @@ impl<'a> Primaries<'a> {
         let [choice, u, v, b1, b2] = spread(index, seed);
         let (chosen, probability) = self.choose(choice);
         if let Some(light) = self.lights.get(chosen) {
-            return self.from_light(light, probability, [u, v]);
+            return self.of_light(light, probability, [u, v]);
         }
-        let (position, normal, flux) = self.from_surface(chosen, probability, [b1, b2], looks);
+        let (position, normal, flux) = self.of_surface(chosen, probability, [b1, b2], looks);
         let origin = position + normal * lift_metres;
         Emission { origin, direction: cosine_weighted(normal, [u, v]), flux, range: f64::INFINITY }
     }
@@ -131,7 +131,7 @@ impl<'a> Primaries<'a> {
     ) -> VirtualLight {
         let [choice, _, _, b1, b2] = spread(index, seed);
         let (chosen, probability) = self.choose(choice);
-        let (position, normal, flux) = self.from_surface(chosen, probability, [b1, b2], looks);
+        let (position, normal, flux) = self.of_surface(chosen, probability, [b1, b2], looks);
         VirtualLight {
             position: (position + normal * lift_metres).as_vec3().to_array(),
             normal: normal.as_vec3().to_array(),
@@ -147,7 +147,7 @@ impl<'a> Primaries<'a> {
         (chosen, (self.sums[chosen] - before) / all)
     }
 
-    fn from_light(&self, light: &PunctualLight, probability: f64, [u, v]: [f64; 2]) -> Emission {
+    fn of_light(&self, light: &PunctualLight, probability: f64, [u, v]: [f64; 2]) -> Emission {
         let (sine, cosine) = sin_cos(v * TAU);
         let around = |axis: DVec3, along: f64| {
             let (x, y) = axis.any_orthonormal_pair();
@@ -183,7 +183,7 @@ impl<'a> Primaries<'a> {
     }
 
     /// Point, unit normal of the glowing side, and flux of the whole.
-    fn from_surface(
+    fn of_surface(
         &self,
         chosen: usize,
         probability: f64,
@@ -191,7 +191,7 @@ impl<'a> Primaries<'a> {
         looks: &Looks<'_>,
     ) -> (DVec3, DVec3, Vec3) {
         let glowing = self.glowing[chosen / 2];
-        let normal = if chosen % 2 == 0 { glowing.front } else { -glowing.front };
+        let normal = if chosen.is_multiple_of(2) { glowing.front } else { -glowing.front };
         if b1 + b2 > 1.0 {
             (b1, b2) = (1.0 - b1, 1.0 - b2);
         }

@@ -42,6 +42,9 @@ pub enum Samples {
     Count(u32),
 }
 
+/// A receiver's number and what a segment's light would give it.
+type Tested = (u32, Vec3);
+
 /// How light is gathered.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct GatherOptions {
@@ -148,7 +151,7 @@ impl<'a> Gather<'a> {
         let mut factor = along / (distance2.sqrt() * distance2.max(self.rule.near2));
         if light.normal != [0.0; 3] {
             let at_light = -to_light.dot(light.normal.into()) / distance2.sqrt();
-            if !(at_light > 0.0) {
+            if at_light.is_nan() || at_light <= 0.0 {
                 return None;
             }
             factor *= at_light;
@@ -335,7 +338,7 @@ impl<'a> Gather<'a> {
         groups: &[Receivers],
         pixels: &[(u32, u32)],
         lift_metres: f32,
-    ) -> (Vec<Segment>, Vec<(u32, Vec3)>) {
+    ) -> (Vec<Segment>, Vec<Tested>) {
         let runs: Vec<&[(u32, u32)]> = pixels.chunk_by(|a, b| a.0 == b.0).collect();
         let of = |run: &&[(u32, u32)]| {
             let mut choices = Vec::new();
@@ -355,7 +358,7 @@ impl<'a> Gather<'a> {
             }
             (segments, light)
         };
-        let parts: Vec<(Vec<Segment>, Vec<(u32, Vec3)>)> = runs.par_iter().map(of).collect();
+        let parts: Vec<(Vec<Segment>, Vec<Tested>)> = runs.par_iter().map(of).collect();
         let (mut segments, mut light) = (Vec::new(), Vec::new());
         for (more_segments, more_light) in parts {
             segments.extend(more_segments);

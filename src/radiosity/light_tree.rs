@@ -107,7 +107,7 @@ impl LightTree {
     }
 
     fn run(&self, level: u32, node: u32) -> Range<usize> {
-        let at = |n: u64| (self.lights.len() as u64 * n >> level) as usize;
+        let at = |n: u64| ((self.lights.len() as u64 * n) >> level) as usize;
         at(u64::from(node))..at(u64::from(node) + 1)
     }
 
