@@ -23,7 +23,7 @@ pub struct Drawn {
 }
 
 impl Drawn {
-    /// Names of the columns that [`drawn_cells`] fill.
+    /// Names of the columns that `drawn_cells` fill.
     pub const COLUMNS: [&'static str; 7] =
         ["ms", "µs a view", "passes", "maps", "MiB of maps", "MiB of the largest pass", "peak MiB"];
 }
