@@ -17,6 +17,7 @@ pub mod radiosity;
 pub mod rays;
 #[cfg(feature = "bake")]
 pub mod reference;
+pub mod reflect;
 #[cfg(feature = "bake")]
 pub mod render;
 pub mod rivals;
