@@ -286,7 +286,7 @@ fn pictures_that_cannot_be_compared_are_refused() {
 }
 
 #[test]
-#[ignore = "known fault: maps hide 0.71 of the light in the open where exact rays hide 0.42; their bias is not measured yet"]
+#[ignore = "known fault: maps hide 0.71 of the tested pairs in the open where exact rays hide 0.42; their bias is not measured yet"]
 fn virtual_lights_by_maps_are_like_exact_ones() {
     let folder = tempfile::tempdir().unwrap();
     let at = |name: &str| folder.path().join(name);
