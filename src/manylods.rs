@@ -112,7 +112,7 @@ impl SvoCuts {
     }
 
     fn eye(&self, view: &View, settings: &ViewSettings) -> Eye {
-        Eye::new(view, settings.resolution as f32 / settings.texels, settings.culling)
+        Eye::new(view, settings.scale(), settings.culling)
     }
 
     fn color(&self, node: u32) -> [u8; 4] {

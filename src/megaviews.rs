@@ -124,12 +124,7 @@ impl MegaViews {
         let sorted = SortedViews::new(views, &self.scene);
         let undrawable = undrawable(views);
         if !undrawable.is_empty() {
-            let count = undrawable.len();
-            let mut pass = ViewMaps::new(settings);
-            let none = vec![ViewMaps::NO_MAP; count];
-            let empty = pass.depths().clone();
-            pass = ViewMaps::from_parts(settings.resolution, undrawable, none, Vec::new(), empty, Vec::new());
-            sink(pass)?;
+            sink(ViewMaps::without_maps(settings, undrawable))?;
         }
         if sorted.order.is_empty() {
             return Ok(DrawStats::default());
@@ -194,11 +189,7 @@ fn leaves_per_pass(views: usize, settings: &ViewSettings) -> Result<usize, ViewE
     let scratch_bytes = rayon::current_num_threads() as u64 * MAPS_PER_THREAD * (4 * texels + node_numbers);
     let fixed_bytes = views as u64 * BYTES_PER_VIEW + scratch_bytes;
     match settings.budget_bytes.saturating_sub(fixed_bytes) / map_bytes {
-        0 => {
-            let what = "the hierarchy of the views and one map";
-            let needed_bytes = fixed_bytes + map_bytes;
-            Err(ViewError::Budget { budget_bytes: settings.budget_bytes, what, needed_bytes })
-        }
+        0 => Err(settings.over_budget("the hierarchy of the views and one map", fixed_bytes + map_bytes)),
         fit => Ok(usize::try_from(fit).unwrap_or(usize::MAX)),
     }
 }
@@ -213,7 +204,7 @@ impl MegaViews {
             scene: &self.scene,
             views: tree,
             texels,
-            scale: settings.resolution as f32 / settings.texels,
+            scale: settings.scale(),
             culling: settings.culling,
             with_nodes: settings.with_colors,
             simd: self.simd,

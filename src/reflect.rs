@@ -241,36 +241,10 @@ mod tests {
 
     /// The outermost voxels of a cube from -1 to 1, `2^depth` a side.
     fn shell(depth: u32) -> manyview_shaders::svo::Svo {
-        use manyview_shaders::svo::{Svo, SvoLevel};
-        let mut levels = Vec::new();
-        // Cells of a level that hold voxels, in Morton order: those that touch a face of the cube.
-        let mut cells = vec![[0u32; 3]];
-        for level in 0..=depth {
-            let side = 2u32 << level;
-            let touches = |cell: &[u32; 3]| cell.iter().any(|&c| c == 0 || c == side - 1);
-            let (mut masks, mut next) = (Vec::new(), Vec::new());
-            for cell in cells.iter().filter(|_| level < depth) {
-                let mut mask = 0u8;
-                for octant in 0..8u32 {
-                    let child = [0, 1, 2].map(|i: usize| cell[i] * 2 + (octant >> i & 1));
-                    if touches(&child) {
-                        mask |= 1 << octant;
-                        next.push(child);
-                    }
-                }
-                masks.push(mask);
-            }
-            levels.push(SvoLevel {
-                colors: vec![[0; 3]; cells.len()],
-                normals: vec![[0; 2]; cells.len()],
-                cones: vec![255; cells.len()],
-                coverages: vec![255; masks.len()],
-                child_masks: masks,
-                emissive: Vec::new(),
-            });
-            cells = next;
-        }
-        let svo = Svo { origin: [-1.0; 3], size: 2.0, levels };
+        let side = 1u32 << depth;
+        let cells = (0..side.pow(3)).map(|i| [i % side, i / side % side, i / side / side]);
+        let outermost = cells.filter(|cell| cell.iter().any(|&c| c == 0 || c == side - 1));
+        let svo = manyview_shaders::svo::Svo::of_cells([-1.0; 3], 2.0, depth, outermost);
         svo.validate().unwrap();
         svo
     }

@@ -83,6 +83,16 @@ impl ViewSettings {
         Ok(())
     }
 
+    /// What [`manyview_shaders::views::is_small`] takes: the resolution over the texels that a node may fill.
+    pub fn scale(&self) -> f32 {
+        self.resolution as f32 / self.texels
+    }
+
+    /// The error of what takes more than the budget.
+    pub fn over_budget(&self, what: &'static str, needed_bytes: u64) -> ViewError {
+        ViewError::Budget { budget_bytes: self.budget_bytes, what, needed_bytes }
+    }
+
     /// Bytes of one map as it is kept.
     pub fn map_bytes(&self) -> u64 {
         let texel = if self.half_depths { 2 } else { 4 } + if self.with_colors { 4 } else { 0 };
@@ -161,7 +171,7 @@ pub trait ViewRenderer: Sync {
             let needed_bytes = all.bytes() + pass.bytes();
             if needed_bytes > settings.budget_bytes {
                 let what = "all maps at once";
-                return Err(ViewError::Budget { budget_bytes: settings.budget_bytes, what, needed_bytes });
+                return Err(settings.over_budget(what, needed_bytes));
             }
             all.append(pass);
             Ok(())

@@ -132,6 +132,12 @@ impl SceneParams {
         };
         [bits(0, 10), bits(10, KEY_LEVELS)]
     }
+
+    /// [`SceneParams::key`] as one number: bits 3l, 3l + 1, 3l + 2 are bit l of the cell's x, y, z.
+    pub fn morton_key(&self, position: [f32; 3]) -> u64 {
+        let [low, high] = self.key(position);
+        u64::from(low) | u64::from(high) << 30
+    }
 }
 
 /// A view as stages read it, 32 bytes.

@@ -286,14 +286,8 @@ mod tests {
     use crate::svo::SvoLevel;
 
     fn level(masks: &[u8], count: usize) -> SvoLevel {
-        SvoLevel {
-            child_masks: masks.to_vec(),
-            colors: (0..count).map(|i| [i as u8, 0, 1]).collect(),
-            normals: vec![[0, 0]; count],
-            cones: vec![0; count],
-            coverages: vec![255; masks.len()],
-            emissive: Vec::new(),
-        }
+        let colors = (0..count).map(|i| [i as u8, 0, 1]).collect();
+        SvoLevel { colors, ..SvoLevel::of_masks(masks.to_vec(), count) }
     }
 
     fn svo() -> Svo {

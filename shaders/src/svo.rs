@@ -8,6 +8,7 @@
 //!
 //! Morton order: bit 0 of a child's number is x, bit 1 is y, bit 2 is z.
 
+use std::collections::BTreeMap;
 use thiserror::Error;
 
 /// Deepest level there can be: voxel coordinates stay below 2^13.
@@ -28,6 +29,21 @@ pub struct SvoLevel {
     pub coverages: Vec<u8>,
     /// Averaged emitted radiance ([`crate::rgb9e5`]); empty in a scene that emits nothing.
     pub emissive: Vec<u32>,
+}
+
+impl SvoLevel {
+    /// A level of `nodes` nodes with these child masks, empty at the deepest level: geometry alone, all attributes 0 and
+    /// all cells covered.
+    pub fn of_masks(child_masks: Vec<u8>, nodes: usize) -> Self {
+        Self {
+            coverages: vec![255; child_masks.len()],
+            child_masks,
+            colors: vec![[0; 3]; nodes],
+            normals: vec![[0; 2]; nodes],
+            cones: vec![0; nodes],
+            emissive: Vec::new(),
+        }
+    }
 }
 
 /// A sparse voxel octree over a scene cube.
@@ -65,6 +81,33 @@ pub struct SvoError {
 }
 
 impl Svo {
+    /// The geometry of the octree with these cells at level `depth`, of which there must be one; a cell may come twice.
+    pub fn of_cells(
+        origin: [f64; 3],
+        size: f64,
+        depth: u32,
+        cells: impl IntoIterator<Item = [u32; 3]>,
+    ) -> Self {
+        let code = |cell: [u32; 3]| {
+            (0..3 * depth)
+                .fold(0, |code, bit| code | u64::from(cell[bit as usize % 3] >> (bit / 3) & 1) << bit)
+        };
+        let mut codes: Vec<u64> = cells.into_iter().map(code).collect();
+        codes.sort_unstable();
+        codes.dedup();
+        let mut levels = vec![SvoLevel::of_masks(Vec::new(), codes.len())];
+        for _ in 0..depth {
+            let mut masks: BTreeMap<u64, u8> = BTreeMap::new();
+            for code in codes {
+                *masks.entry(code >> 3).or_default() |= 1 << (code & 7);
+            }
+            levels.push(SvoLevel::of_masks(masks.values().copied().collect(), masks.len()));
+            codes = masks.into_keys().collect();
+        }
+        levels.reverse();
+        Self { origin, size, levels }
+    }
+
     /// The number of the deepest level (`--levels`).
     pub fn depth(&self) -> u32 {
         self.levels.len() as u32 - 1
@@ -176,6 +219,18 @@ mod tests {
         assert_eq!(svo.cells(1), [[0, 0, 0], [1, 1, 1]]);
         assert_eq!(svo.cells(2), [[1, 0, 0], [2, 3, 2]]);
         assert_eq!(svo.first_children(0), [0, 2]);
+    }
+
+    #[test]
+    fn an_octree_of_cells_has_these_and_no_others() {
+        let svo = Svo::of_cells([0.0; 3], 1.0, 2, [[2, 3, 2], [1, 0, 0], [2, 3, 2]]);
+        assert_eq!(svo.validate(), Ok(SvoStats { leaves: 2, nodes: 5 }));
+        assert_eq!(svo.cells(2), [[1, 0, 0], [2, 3, 2]]);
+        let masks = |level: usize| &svo.levels[level].child_masks;
+        assert_eq!(
+            (masks(0), masks(1)),
+            (&two_leaves().levels[0].child_masks, &two_leaves().levels[1].child_masks)
+        );
     }
 
     #[test]

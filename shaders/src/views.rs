@@ -12,6 +12,7 @@
 //!
 //! \[MV\] Kol et al., *MegaViews*, CGF 2018, doi 10.1111/cgf.13527. \[ML\] Holländer et al., *ManyLoDs*, CGF 30(4), 2011.
 
+use crate::mega_views::CONE_SLACK;
 use bytemuck::{Pod, Zeroable};
 use std::f32::consts::PI;
 
@@ -47,7 +48,7 @@ impl View {
     }
 
     /// Unit axis, cosine and sine of the half angle; −1 and 0 for a view that sees all around.
-    pub fn cone(&self) -> ([f32; 3], [f32; 2]) {
+    pub fn cone(&self) -> Cone {
         let length = dot(self.axis, self.axis).sqrt();
         if !(self.half_angle < PI && length.is_finite() && length > 0.0) {
             return ([1.0, 0.0, 0.0], ALL_AROUND);
@@ -141,6 +142,42 @@ pub fn is_culled(offset: [f32; 3], length: f32, radius: f32, view: &ViewNode) ->
 #[inline]
 pub fn is_small(offset: [f32; 3], length: f32, radius: f32, view_radius: f32, scale: f32) -> bool {
     radius * scale * length < (length - view_radius) * (length + offset[0].abs())
+}
+
+/// Unit axis, cosine and sine of a cone.
+pub type Cone = ([f32; 3], [f32; 2]);
+
+/// A cone around cones: its axis is the mean of theirs. The rule of every form of the view hierarchy.
+pub fn merged_cone(cones: impl Iterator<Item = Cone> + Clone) -> Cone {
+    let all = ([1.0, 0.0, 0.0], ALL_AROUND);
+    let mut sum = [0.0f32; 3];
+    let mut count = 0;
+    for (axis, [cosine, _]) in cones.clone() {
+        if cosine <= -1.0 {
+            return all;
+        }
+        sum = [0, 1, 2].map(|i| sum[i] + axis[i]);
+        count += 1;
+    }
+    if count == 1 {
+        return cones.clone().next().unwrap_or(all);
+    }
+    let length = dot(sum, sum).sqrt();
+    if length.is_nan() || length <= CONE_SLACK {
+        return all;
+    }
+    let axis = sum.map(|c| c / length);
+    let mut widest = 1.0f32;
+    for (other, [cos_psi, sin_psi]) in cones {
+        let cos_alpha = dot(axis, other).clamp(-1.0, 1.0);
+        let sin_alpha = (1.0 - cos_alpha * cos_alpha).sqrt();
+        if sin_alpha * cos_psi + cos_alpha * sin_psi <= 0.0 {
+            return all;
+        }
+        widest = widest.min(cos_alpha * cos_psi - sin_alpha * sin_psi);
+    }
+    let cosine = (widest - CONE_SLACK).max(-1.0);
+    (axis, [cosine, (1.0 - cosine * cosine).max(0.0).sqrt()])
 }
 
 /// Of a view node's sphere this share must fill less than a texel where something is drawn once for all its views: it then

@@ -8,9 +8,8 @@ use manyview_shaders::jobs::mega_views::{
 use manyview_shaders::mega_views::{SceneParams, ViewCone, flag, half_bits};
 use manyview_shaders::paraboloid::{is_inside, texel, texel_count, texel_direction};
 use manyview_shaders::scene_tree::{NodeRef, SPHERE_OF_CUBE, SceneTree};
-use manyview_shaders::svo::{Svo, SvoLevel};
+use manyview_shaders::svo::Svo;
 use manyview_shaders::views::{PairStep, View, ViewNode, pair_step};
-use std::collections::BTreeMap;
 
 const SETTINGS: MegaViewsSettings =
     MegaViewsSettings { resolution: 16, texels: 1.0, culling: true, sharing: true, half_depths: false };
@@ -18,31 +17,7 @@ const ROOM: Room = Room { nodes: 3000, pairs: 200_000, near: 100_000 };
 
 /// The octree of some voxels over a cube of edge 8 around the origin.
 fn scene(depth: u32, voxels: &[[u32; 3]]) -> SceneTree {
-    let code = |cell: &[u32; 3]| {
-        (0..3 * depth).fold(0, |code, bit| code | u64::from(cell[bit as usize % 3] >> (bit / 3) & 1) << bit)
-    };
-    let mut codes: Vec<u64> = voxels.iter().map(code).collect();
-    codes.sort_unstable();
-    codes.dedup();
-    let level = |masks: Vec<u8>, count: usize| SvoLevel {
-        coverages: masks.clone(),
-        child_masks: masks,
-        colors: vec![[0; 3]; count],
-        normals: vec![[0; 2]; count],
-        cones: vec![0; count],
-        emissive: Vec::new(),
-    };
-    let mut levels = vec![level(Vec::new(), codes.len())];
-    for _ in 0..depth {
-        let mut masks: BTreeMap<u64, u8> = BTreeMap::new();
-        for code in codes {
-            *masks.entry(code >> 3).or_default() |= 1 << (code & 7);
-        }
-        levels.push(level(masks.values().copied().collect(), masks.len()));
-        codes = masks.into_keys().collect();
-    }
-    levels.reverse();
-    SceneTree::new(&Svo { origin: [-4.0; 3], size: 8.0, levels }, false)
+    SceneTree::new(&Svo::of_cells([-4.0; 3], 8.0, depth, voxels.iter().copied()), false)
 }
 
 /// The walls of a room of `2^depth` voxels a side.

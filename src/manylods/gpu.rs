@@ -59,17 +59,13 @@ impl Room {
         let view = VIEW_BYTES + map + settings.map_bytes();
         let needed_bytes = view + LEAST_PAIRS * PAIR_BYTES;
         if map > binding_bytes || needed_bytes > settings.budget_bytes {
-            return Err(too_small(settings, "the map of one view", needed_bytes));
+            return Err(settings.over_budget("the map of one view", needed_bytes));
         }
         let left = settings.budget_bytes - needed_bytes;
         let pairs = (LEAST_PAIRS + left / 2 / PAIR_BYTES).min(binding_bytes / 8).min(u64::from(u32::MAX));
         let views = 1 + (settings.budget_bytes - view - pairs * PAIR_BYTES) / view;
         Ok(Self { views: views.min(binding_bytes / map).min(binding_bytes / 48).min(pairs), pairs })
     }
-}
-
-fn too_small(settings: &ViewSettings, what: &'static str, needed_bytes: u64) -> ViewError {
-    ViewError::Budget { budget_bytes: settings.budget_bytes, what, needed_bytes }
 }
 
 impl ViewRenderer for SvoCutsGpu<'_> {
@@ -90,7 +86,7 @@ impl ViewRenderer for SvoCutsGpu<'_> {
         }
         let mut device = self.device.lock().unwrap_or_else(PoisonError::into_inner);
         let room = Room::new(settings, device.binding_bytes())?;
-        let scale = settings.resolution as f32 / settings.texels;
+        let scale = settings.scale();
         let (mut first, mut at_once) = (0, room.views as usize);
         let mut pairs_a_view = FIRST_PAIRS;
         while first < views.len() {
@@ -118,7 +114,7 @@ impl ViewRenderer for SvoCutsGpu<'_> {
                     } else {
                         let needed = u64::from(found.lists[0].max(found.lists[1])).max(2 * pairs);
                         let what = "the lists of one view on a device";
-                        return Err(too_small(settings, what, settings.budget_bytes + needed * PAIR_BYTES));
+                        return Err(settings.over_budget(what, settings.budget_bytes + needed * PAIR_BYTES));
                     }
                     continue;
                 }

@@ -40,11 +40,8 @@ impl Plan {
             let views = 1 + (left - lists) / view;
             return Ok(Self { views: views as usize, sequential: threads == 1, list_bytes });
         }
-        Err(ViewError::Budget {
-            budget_bytes: settings.budget_bytes,
-            what: "the map of one view and the lists of one thread",
-            needed_bytes: directions + thread + min_list_bytes + view,
-        })
+        let needed_bytes = directions + thread + min_list_bytes + view;
+        Err(settings.over_budget("the map of one view and the lists of one thread", needed_bytes))
     }
 }
 

@@ -222,7 +222,7 @@ impl PointCuts {
         let needed_bytes = views.len() as u64 * (settings.map_bytes() + 20) + state.bytes();
         if plan.views < views.len() || needed_bytes > settings.budget_bytes {
             let what = "the maps and the cuts of a frame";
-            return Err(ViewError::Budget { budget_bytes: settings.budget_bytes, what, needed_bytes });
+            return Err(settings.over_budget(what, needed_bytes));
         }
         let texels = TexelDirections::new(settings.resolution);
         let sums = Mutex::new(Counts::default());
@@ -248,7 +248,7 @@ fn is_below(node: u32, above: u32) -> bool {
 }
 
 fn eye(view: &View, settings: &ViewSettings) -> Eye {
-    Eye::new(view, settings.resolution as f32 / settings.texels, settings.culling)
+    Eye::new(view, settings.scale(), settings.culling)
 }
 
 fn check(settings: &ViewSettings) -> Result<(), ViewError> {

@@ -269,7 +269,7 @@ impl SvoCuts {
         let needed_bytes = views.len() as u64 * (settings.map_bytes() + 20) + state.bytes();
         if plan.views < views.len() || needed_bytes > settings.budget_bytes {
             let what = "the maps and the cuts of a frame";
-            return Err(ViewError::Budget { budget_bytes: settings.budget_bytes, what, needed_bytes });
+            return Err(settings.over_budget(what, needed_bytes));
         }
         let parents = self.parents();
         let texels = TexelDirections::new(settings.resolution);

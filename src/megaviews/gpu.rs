@@ -111,7 +111,7 @@ impl Plan {
             .min(u64::from(most.nodes));
         if nodes == 0 {
             let needed_bytes = 2 * (node_bytes + leaf_bytes) + views as u64 * BYTES_PER_VIEW;
-            return Err(too_small(settings, "one view", needed_bytes));
+            return Err(settings.over_budget("one view", needed_bytes));
         }
         let run = (nodes * 3 / 5).clamp(1, views as u64);
         let [inner, leaves] = device.scene_nodes().map(u64::from);
@@ -126,10 +126,6 @@ impl Plan {
         };
         Ok(Self { run: run as u32, room })
     }
-}
-
-fn too_small(settings: &ViewSettings, what: &'static str, needed_bytes: u64) -> ViewError {
-    ViewError::Budget { budget_bytes: settings.budget_bytes, what, needed_bytes }
 }
 
 impl ViewRenderer for MegaViewsGpu<'_> {
@@ -151,9 +147,7 @@ impl ViewRenderer for MegaViewsGpu<'_> {
         let (drawable, others): (Vec<u32>, Vec<u32>) =
             (0..views.len() as u32).partition(|&view| views[view as usize].is_drawable());
         if !others.is_empty() {
-            let none = vec![ViewMaps::NO_MAP; others.len()];
-            let empty = depths(&[], settings.half_depths);
-            sink(ViewMaps::from_parts(settings.resolution, others, none, Vec::new(), empty, Vec::new()))?;
+            sink(ViewMaps::without_maps(settings, others))?;
         }
         let mut device = self.device();
         // Views are sorted together as long as that leaves most of the budget.
@@ -198,7 +192,7 @@ impl MegaViewsGpu<'_> {
                 }
                 PassResult::NoRoom(_) if count == 1 => {
                     let needed_bytes = settings.budget_bytes.saturating_mul(2);
-                    return Err(too_small(settings, "the queue of one view", needed_bytes));
+                    return Err(settings.over_budget("the queue of one view", needed_bytes));
                 }
                 PassResult::NoRoom(_) => run = count.div_ceil(2) as u32,
             }
@@ -231,22 +225,12 @@ fn depths(words: &[u32], half: bool) -> Depths {
 mod tests {
     use super::*;
     use manyview_shaders::cases::Random;
-    use manyview_shaders::svo::{Svo, SvoLevel};
+    use manyview_shaders::svo::Svo;
 
-    /// Every second cell of 16³ in a checkerboard's corner planes: three walls.
+    /// A floor of 16 × 16 voxels.
     fn scene() -> SceneTree {
-        let level = |masks: Vec<u8>, count: usize| SvoLevel {
-            coverages: masks.clone(),
-            child_masks: masks,
-            colors: vec![[0; 3]; count],
-            normals: vec![[0; 2]; count],
-            cones: vec![0; count],
-            emissive: Vec::new(),
-        };
-        // Each inner node has four children, those of its lower half: a floor.
-        let levels = (0..4).map(|l| level(vec![0b0011_0011; 4usize.pow(l)], 4usize.pow(l)));
-        let levels = levels.chain([level(Vec::new(), 256)]).collect();
-        SceneTree::new(&Svo { origin: [-4.0; 3], size: 8.0, levels }, false)
+        let floor = (0..256).map(|i| [i % 16, 0, i / 16]);
+        SceneTree::new(&Svo::of_cells([-4.0; 3], 8.0, 4, floor), false)
     }
 
     fn views(count: usize) -> Vec<View> {

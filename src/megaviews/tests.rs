@@ -2,42 +2,19 @@ use super::*;
 use crate::views::splat::Canvas;
 use manyview_shaders::cases::Random;
 use manyview_shaders::scene_tree::SPHERE_OF_CUBE;
-use manyview_shaders::svo::{Svo, SvoLevel};
+use manyview_shaders::svo::Svo;
 use manyview_shaders::views::{PairStep, ViewNode, pair_step};
-use std::collections::BTreeSet;
 use std::f32::consts::{FRAC_PI_2, PI};
 
 /// An octree of these leaves.
 fn scene_of(depth: u32, cells: impl IntoIterator<Item = [u32; 3]>) -> SceneTree {
-    let key = |cell: [u32; 3], level: u32| {
-        (0..level).fold(0u64, |key, bit| {
-            key | (0..3).fold(0, |digit, i| digit | u64::from(cell[i] >> bit & 1) << i) << (3 * bit)
-        })
-    };
-    let mut keys: BTreeSet<u64> = cells.into_iter().map(|cell| key(cell, depth)).collect();
-    let mut levels = Vec::new();
-    let mut masks: Vec<u8> = Vec::new();
-    for _ in 0..=depth {
-        let count = keys.len();
-        levels.push(SvoLevel {
-            child_masks: masks.clone(),
-            coverages: vec![255; masks.len()],
-            colors: (0..count).map(|i| [i as u8, (i >> 8) as u8, levels.len() as u8]).collect(),
-            normals: vec![[0; 2]; count],
-            cones: vec![0; count],
-            emissive: Vec::new(),
-        });
-        let parents: BTreeSet<u64> = keys.iter().map(|key| key >> 3).collect();
-        masks = parents
-            .iter()
-            .map(|parent| {
-                keys.range(parent << 3..(parent + 1) << 3).fold(0, |mask, key| mask | 1 << (key & 7))
-            })
-            .collect();
-        keys = parents;
+    let mut svo = Svo::of_cells([-8.0; 3], 16.0, depth, cells);
+    for (number, level) in svo.levels.iter_mut().rev().enumerate() {
+        for (i, color) in level.colors.iter_mut().enumerate() {
+            *color = [i as u8, (i >> 8) as u8, number as u8];
+        }
     }
-    levels.reverse();
-    SceneTree::new(&Svo { origin: [-8.0, -8.0, -8.0], size: 16.0, levels }, true)
+    SceneTree::new(&svo, true)
 }
 
 /// Walls of a room of 2^depth voxels a side.
@@ -90,7 +67,7 @@ fn draw_breadth_first(
             let edge = scene.cell_size(scene.level(node));
             let offset = [0, 1, 2].map(|i| scene.cell_center(node)[i] - view.center[i]);
             let mean = [0, 1, 2].map(|i| scene.mean(node)[i] - view.center[i]);
-            let scale = settings.resolution as f32 / settings.texels;
+            let scale = settings.scale();
             let (depths, nodes) = &mut maps[view_index];
             let mut canvas = Canvas { texels: &texels, depths, nodes };
             let radius = edge * SPHERE_OF_CUBE;

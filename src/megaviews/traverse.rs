@@ -291,7 +291,7 @@ impl Traversal<'_> {
         (*point_count, *near_leaves) = (points.total, points.near_leaves);
     }
 
-    /// The pairs of a scene node's children: [`step`] for all eight octants at a time.
+    /// The pairs of a scene node's children: the rule of [`manyview_shaders::views::pair_step`] for all eight octants at a time.
     #[inline(always)]
     fn expand(
         &self,

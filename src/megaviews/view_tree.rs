@@ -14,17 +14,11 @@
 //! Views are sorted once ([`SortedViews`]); any run of them in that order is a tree of its own ([`ViewTree`]), which is how
 //! work is cut into passes.
 
+use manyview_shaders::mega_views::{KEY_LEVELS, MOST_SHARED, SceneParams};
 use manyview_shaders::scene_tree::SceneTree;
-use manyview_shaders::views::{ALL_AROUND, View, ViewNode};
+use manyview_shaders::views::{View, ViewNode, merged_cone};
 use rayon::prelude::*;
 use std::ops::Range;
-
-/// Levels of Morton keys: cells of 1/8192 of the scene cube.
-pub const KEY_LEVELS: u32 = 13;
-/// Most views that share a map: what one thread of a GPU looks at in a row.
-pub const MOST_SHARED: usize = 4096;
-/// Cones are wider than computed by this much of their cosine, against rounding.
-const CONE_SLACK: f32 = 1e-6;
 
 /// Which views share a map.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Default)]
@@ -50,11 +44,12 @@ pub struct SortedViews {
 impl SortedViews {
     /// Sorts the drawable ones among `views`; of views in one cell the first comes first.
     pub fn new(views: &[View], scene: &SceneTree) -> Self {
+        let params = SceneParams::new(scene);
         let mut pairs: Vec<(u64, u32)> = views
             .par_iter()
             .enumerate()
             .filter(|(_, view)| view.is_drawable())
-            .map(|(i, view)| (morton_key(view.position, scene), i as u32))
+            .map(|(i, view)| (params.morton_key(view.position), i as u32))
             .collect();
         pairs.par_sort_unstable();
         let (keys, order) = pairs.into_par_iter().unzip();
@@ -64,14 +59,7 @@ impl SortedViews {
 
 /// The Morton key of a position, moved into the scene cube if it lies outside.
 pub fn morton_key(position: [f32; 3], scene: &SceneTree) -> u64 {
-    // A product rounds alike everywhere, a quotient need not.
-    let cells_per_metre = (1u32 << KEY_LEVELS) as f32 / scene.size;
-    // Casts cut off at 0.
-    let cell = [0, 1, 2].map(|i| (((position[i] - scene.origin[i]) * cells_per_metre) as u64).min(8191));
-    (0..KEY_LEVELS).fold(0, |key, l| {
-        let digit = (0..3).fold(0, |digit, i| digit | (cell[i] >> l & 1) << i);
-        key | digit << (3 * l)
-    })
+    SceneParams::new(scene).morton_key(position)
 }
 
 /// A view hierarchy over a run of [`SortedViews`].
@@ -98,7 +86,7 @@ impl ViewTree {
         let shift = 3 * (KEY_LEVELS - depth.min(KEY_LEVELS));
         let is_leaf = |range: &Range<usize>| {
             let shares = sharing == Sharing::Voxel
-                && range.len() <= MOST_SHARED
+                && range.len() <= MOST_SHARED as usize
                 && keys[range.start] >> shift == keys[range.end - 1] >> shift;
             range.len() == 1 || shares
         };
@@ -245,60 +233,15 @@ fn hull(boxes: impl Iterator<Item = [[f32; 3]; 2]>) -> [[f32; 3]; 2] {
     })
 }
 
-/// Unit axis, cosine and sine of a cone.
-type Cone = ([f32; 3], [f32; 2]);
-
-/// A cone around cones: its axis is the mean of theirs.
-pub fn merged_cone(cones: impl Iterator<Item = Cone> + Clone) -> Cone {
-    let all = ([1.0, 0.0, 0.0], ALL_AROUND);
-    let mut sum = [0.0f32; 3];
-    let mut count = 0;
-    for (axis, [cosine, _]) in cones.clone() {
-        if cosine <= -1.0 {
-            return all;
-        }
-        sum = [0, 1, 2].map(|i| sum[i] + axis[i]);
-        count += 1;
-    }
-    if count == 1 {
-        return cones.clone().next().unwrap_or(all);
-    }
-    let length = (sum[0] * sum[0] + sum[1] * sum[1] + sum[2] * sum[2]).sqrt();
-    if length.is_nan() || length <= CONE_SLACK {
-        return all;
-    }
-    let axis = sum.map(|c| c / length);
-    let mut widest = 1.0f32;
-    for (other, [cos_psi, sin_psi]) in cones {
-        let cos_alpha = (axis[0] * other[0] + axis[1] * other[1] + axis[2] * other[2]).clamp(-1.0, 1.0);
-        let sin_alpha = (1.0 - cos_alpha * cos_alpha).sqrt();
-        if sin_alpha * cos_psi + cos_alpha * sin_psi <= 0.0 {
-            return all;
-        }
-        widest = widest.min(cos_alpha * cos_psi - sin_alpha * sin_psi);
-    }
-    let cosine = (widest - CONE_SLACK).max(-1.0);
-    (axis, [cosine, (1.0 - cosine * cosine).max(0.0).sqrt()])
-}
-
 #[cfg(test)]
 mod tests {
     use super::*;
     use manyview_shaders::cases::Random;
-    use manyview_shaders::svo::{Svo, SvoLevel};
+    use manyview_shaders::svo::Svo;
 
     fn scene() -> SceneTree {
-        let level = |masks: Vec<u8>, count: usize| SvoLevel {
-            coverages: masks.clone(),
-            child_masks: masks,
-            colors: vec![[0; 3]; count],
-            normals: vec![[0; 2]; count],
-            cones: vec![0; count],
-            emissive: Vec::new(),
-        };
-        let levels =
-            vec![level(vec![0xff], 1), level(vec![1; 8], 8), level(vec![1; 8], 8), level(Vec::new(), 8)];
-        SceneTree::new(&Svo { origin: [-4.0; 3], size: 8.0, levels }, false)
+        let cells = (0..8).map(|i| [i & 1, i >> 1 & 1, i >> 2].map(|c: u32| 4 * c));
+        SceneTree::new(&Svo::of_cells([-4.0; 3], 8.0, 3, cells), false)
     }
 
     fn random_views(count: usize, seed: u64) -> Vec<View> {

@@ -18,10 +18,10 @@
 
 use crate::reference::{Reference, area_normal};
 use crate::views::{Depths, PassSink, View, ViewError, ViewMaps, ViewRenderer, ViewSettings};
-use crate::visibility::{Visibility, VisibilityError, light_words};
+use crate::visibility::maps::{SEGMENTS, check_positions};
+use crate::visibility::{Visibility, VisibilityError, light_words, parallel};
 use glam::Vec3;
 use manyview_shaders::cases::Random;
-use manyview_shaders::testable::{is_behind, testable};
 use manyview_shaders::types::{LightPoint, Receiver, Segment};
 use rayon::prelude::*;
 
@@ -148,11 +148,11 @@ impl Visibility for IsmVisibility {
     }
 
     fn occluded(&self, _: &[Segment], _: &mut [u8]) -> Result<(), VisibilityError> {
-        Err(SEGMENTS)
+        Err(NO_SEGMENTS)
     }
 
     fn distances(&self, _: &[Segment], _: &mut [f32]) -> Result<(), VisibilityError> {
-        Err(SEGMENTS)
+        Err(NO_SEGMENTS)
     }
 
     fn hidden_lights(
@@ -163,26 +163,20 @@ impl Visibility for IsmVisibility {
     ) -> Result<(), VisibilityError> {
         let words = light_words(lights.len());
         assert_eq!(hidden.len(), receivers.len() * words, "one bit for each receiver and light");
-        if lights.iter().any(|light| light.position_weight != 0.0) {
-            let problem = "has maps of lights at positions only; use `rows` or `bvh` for directional lights";
-            return Err(VisibilityError::Unsupported { method: "ism", problem });
-        }
+        check_positions("ism", lights)?;
         hidden.fill(0);
         if hidden.is_empty() || self.points.is_empty() {
             return Ok(());
         }
-        for (number, lights) in lights.chunks(LIGHTS_AT_ONCE).enumerate() {
+        for (number, run) in lights.chunks(LIGHTS_AT_ONCE).enumerate() {
             let first = number * LIGHTS_AT_ONCE;
             let map = |(i, light): (usize, &LightPoint)| {
                 self.map(first + i, Vec3::from_array(light.offset), self.options.resolution)
             };
-            let maps: Vec<Map> = lights.par_iter().enumerate().map(map).collect();
-            receivers.par_iter().zip(hidden.par_chunks_mut(words)).for_each(|(receiver, hidden)| {
-                for (i, (light, map)) in lights.iter().zip(&maps).enumerate() {
-                    let Some(segment) = testable(&light.segment_from(receiver)) else { continue };
-                    let bit = u32::from(is_behind(&segment) || self.is_hidden(map, &segment));
-                    hidden[(first + i) / 32] |= bit << (i % 32);
-                }
+            let maps: Vec<Map> = run.par_iter().enumerate().map(map).collect();
+            let of = (run.len(), |place: usize| first + place);
+            parallel::hide_some(receivers, lights, of, hidden, |place, segment| {
+                self.is_hidden(&maps[place], segment)
             });
         }
         Ok(())
@@ -207,8 +201,7 @@ impl ViewRenderer for IsmVisibility {
         }
         let (map_bytes, budget_bytes) = (settings.map_bytes(), settings.budget_bytes);
         if map_bytes > budget_bytes {
-            let what = "one map";
-            return Err(ViewError::Budget { budget_bytes, what, needed_bytes: map_bytes });
+            return Err(settings.over_budget("one map", map_bytes));
         }
         // While a run is drawn, its depths are there twice.
         let at_once = (budget_bytes / (map_bytes * 3)).clamp(1, 1 << 16) as usize;
@@ -234,10 +227,7 @@ impl ViewRenderer for IsmVisibility {
     }
 }
 
-const SEGMENTS: VisibilityError = VisibilityError::Unsupported {
-    method: "ism",
-    problem: "has depth maps of lights and answers for receivers and lights only; use `rows` or `bvh` for segments",
-};
+const NO_SEGMENTS: VisibilityError = VisibilityError::Unsupported { method: "ism", problem: SEGMENTS };
 
 /// A dual paraboloid of distances from its middle, metres; +infinity where nothing is. The front half (x ≥ 0), then the
 /// back half, row by row.

@@ -46,6 +46,11 @@ impl ViewMaps {
         }
     }
 
+    /// Views that cannot be drawn.
+    pub fn without_maps(settings: &ViewSettings, views: Vec<u32>) -> Self {
+        Self { map_of: vec![Self::NO_MAP; views.len()], views, ..Self::new(settings) }
+    }
+
     /// Takes maps: `depths` and, unless empty, `colors` have [`texel_count`] texels for each of `centers`.
     ///
     /// # Panics

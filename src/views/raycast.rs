@@ -97,8 +97,7 @@ pub(super) mod tests {
     use super::*;
     use crate::views::{Depths, OctreeSurfaces, ViewMaps};
     use manyview_shaders::paraboloid::{is_inside, texel, texel_count, texel_direction};
-    use manyview_shaders::svo::{Svo, SvoLevel};
-    use std::collections::BTreeMap;
+    use manyview_shaders::svo::Svo;
 
     /// An octree of the cells that `is_there` accepts, coloured by their coordinates.
     pub(crate) fn octree(
@@ -108,41 +107,11 @@ pub(super) mod tests {
         is_there: impl Fn([u32; 3]) -> bool,
     ) -> Svo {
         let side = 1u32 << depth;
-        let code = |cell: [u32; 3]| {
-            (0..3 * depth as usize)
-                .fold(0u64, |code, bit| code | u64::from(cell[bit % 3] >> (bit / 3) & 1) << bit)
-        };
-        let mut leaves: BTreeMap<u64, [u32; 3]> = BTreeMap::new();
-        for z in 0..side {
-            for y in 0..side {
-                for x in 0..side {
-                    if is_there([x, y, z]) {
-                        leaves.insert(code([x, y, z]), [x, y, z]);
-                    }
-                }
-            }
-        }
-        let level = |masks: Vec<u8>, colors: Vec<[u8; 3]>| SvoLevel {
-            normals: vec![[0, 0]; colors.len()],
-            cones: vec![0; colors.len()],
-            coverages: vec![255; masks.len()],
-            child_masks: masks,
-            colors,
-            emissive: Vec::new(),
-        };
-        let mut levels = vec![level(Vec::new(), leaves.values().map(|cell| cell.map(|c| c as u8)).collect())];
-        let mut codes: Vec<u64> = leaves.into_keys().collect();
-        for _ in 0..depth {
-            let mut masks: BTreeMap<u64, u8> = BTreeMap::new();
-            for code in codes {
-                *masks.entry(code >> 3).or_default() |= 1 << (code & 7);
-            }
-            let colors = vec![[0; 3]; masks.len()];
-            levels.push(level(masks.values().copied().collect(), colors));
-            codes = masks.into_keys().collect();
-        }
-        levels.reverse();
-        let svo = Svo { origin, size, levels };
+        let along = || 0..side;
+        let cells = along().flat_map(|z| along().flat_map(move |y| along().map(move |x| [x, y, z])));
+        let mut svo = Svo::of_cells(origin, size, depth, cells.filter(|&cell| is_there(cell)));
+        let cells = svo.cells(depth as usize);
+        svo.levels[depth as usize].colors = cells.into_iter().map(|cell| cell.map(|c| c as u8)).collect();
         svo.validate().unwrap();
         svo
     }

@@ -36,7 +36,7 @@ pub(super) fn draw_passes(
     let needed_bytes = settings.map_bytes() + working + 20;
     let budget_bytes = settings.budget_bytes;
     if needed_bytes > budget_bytes && !views.is_empty() {
-        return Err(ViewError::Budget { budget_bytes, what: "the map of one view", needed_bytes });
+        return Err(settings.over_budget("the map of one view", needed_bytes));
     }
     let fitting = usize::try_from(budget_bytes / needed_bytes).unwrap_or(usize::MAX);
     let per_pass = fitting.min(TEXELS_PER_PASS / texels).max(1);

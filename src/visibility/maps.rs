@@ -10,9 +10,7 @@
 //! lights are asked about; others are drawn again, run by run, for every batch of receivers.
 
 use crate::views::{View, ViewMaps, ViewRenderer, ViewSettings};
-use crate::visibility::{LightPoint, Receiver, Segment, Visibility, VisibilityError, light_words};
-use manyview_shaders::testable::{is_behind, testable};
-use rayon::prelude::*;
+use crate::visibility::{LightPoint, Receiver, Segment, Visibility, VisibilityError, light_words, parallel};
 use std::sync::{Arc, Mutex, PoisonError};
 
 /// By how much a receiver must be farther than its map says to be in shadow.
@@ -108,19 +106,11 @@ impl<R: ViewRenderer> MapVisibility<R> {
 
     /// Answers for the lights whose maps are given.
     fn answer(&self, receivers: &[Receiver], lights: &[LightPoint], maps: &ViewMaps, hidden: &mut [u32]) {
-        let words = light_words(lights.len());
-        receivers.par_iter().zip(hidden.par_chunks_mut(words)).for_each(|(receiver, hidden)| {
-            for (&light, &map) in maps.views().iter().zip(maps.map_of()) {
-                let light = light as usize;
-                let Some(segment) = testable(&lights[light].segment_from(receiver)) else { continue };
-                let in_shadow = || {
-                    let position = self.bias.lifted(segment.origin, segment.normal);
-                    map != ViewMaps::NO_MAP
-                        && is_hidden(maps, map as usize, position, segment.normal, &self.bias)
-                };
-                let bit = u32::from(is_behind(&segment) || in_shadow());
-                hidden[light / 32] |= bit << (light % 32);
-            }
+        let of = (maps.views().len(), |place: usize| maps.views()[place] as usize);
+        parallel::hide_some(receivers, lights, of, hidden, |place, segment| {
+            let map = maps.map_of()[place];
+            let position = self.bias.lifted(segment.origin, segment.normal);
+            map != ViewMaps::NO_MAP && is_hidden(maps, map as usize, position, segment.normal, &self.bias)
         });
     }
 }
@@ -146,10 +136,7 @@ impl<R: ViewRenderer> Visibility for MapVisibility<R> {
     ) -> Result<(), VisibilityError> {
         let words = light_words(lights.len());
         assert_eq!(hidden.len(), receivers.len() * words, "one bit for each receiver and light");
-        if lights.iter().any(|light| light.position_weight != 0.0) {
-            let problem = "has maps of lights at positions only; use `rows` or `bvh` for directional lights";
-            return Err(self.unsupported(problem));
-        }
+        check_positions(self.name(), lights)?;
         hidden.fill(0);
         if hidden.is_empty() {
             return Ok(());
@@ -177,8 +164,18 @@ impl<R: ViewRenderer> Visibility for MapVisibility<R> {
     }
 }
 
-const SEGMENTS: &str =
+/// Why methods that have maps of lights refuse segments.
+pub(crate) const SEGMENTS: &str =
     "has depth maps of lights and answers for receivers and lights only; use `rows` or `bvh` for segments";
+
+/// Refuses lights without a position: a method that has maps of lights has none of them.
+pub(crate) fn check_positions(method: &'static str, lights: &[LightPoint]) -> Result<(), VisibilityError> {
+    let problem = "has maps of lights at positions only; use `rows` or `bvh` for directional lights";
+    match lights.iter().all(|light| light.position_weight == 0.0) {
+        true => Ok(()),
+        false => Err(VisibilityError::Unsupported { method, problem }),
+    }
+}
 
 #[cfg(test)]
 mod tests {

@@ -4,7 +4,7 @@
 //! and tables take any of them: a batch of segments ([`Visibility::occluded`], [`Visibility::distances`]), and every
 //! pair of a receiver and a light ([`Visibility::hidden_lights`]).
 
-mod maps;
+pub(crate) mod maps;
 mod none;
 pub(crate) mod parallel;
 mod stage;

@@ -5,6 +5,27 @@ use manyview_shaders::testable::{is_behind, testable};
 use manyview_shaders::types::{LightPoint, Receiver, Segment};
 use rayon::prelude::*;
 
+/// Sets the bits of lights that receivers do not see, of `count` lights, of which `light_of` says which they are; others keep
+/// theirs. `test` is given a light's place among them.
+pub(crate) fn hide_some(
+    receivers: &[Receiver],
+    lights: &[LightPoint],
+    (count, light_of): (usize, impl Fn(usize) -> usize + Sync),
+    hidden: &mut [u32],
+    test: impl Fn(usize, &Segment) -> bool + Sync,
+) {
+    receivers.par_iter().zip(hidden.par_chunks_mut(light_words(lights.len()))).for_each(
+        |(receiver, hidden)| {
+            for place in 0..count {
+                let light = light_of(place);
+                let Some(segment) = testable(&lights[light].segment_from(receiver)) else { continue };
+                let bit = u32::from(is_behind(&segment) || test(place, &segment));
+                hidden[light / 32] |= bit << (light % 32);
+            }
+        },
+    );
+}
+
 /// Segments that a thread takes at a time.
 const SEGMENTS: usize = 1024;
 /// Receivers that a thread takes at a time.

@@ -1,39 +1,6 @@
 use crate::executor::CpuBinding;
-use crate::mega_views::{CONE_SLACK, LevelParams, PassParams, ViewCone, tree};
-use crate::views::{ALL_AROUND, ViewNode, dot};
-
-/// Unit axis, cosine and sine.
-type Cone = ([f32; 3], [f32; 2]);
-
-fn merged(cones: &[Cone]) -> Cone {
-    let all = ([1.0, 0.0, 0.0], ALL_AROUND);
-    if let [cone] = cones {
-        return if cone.1[0] <= -1.0 { all } else { *cone };
-    }
-    let mut sum = [0.0f32; 3];
-    for (axis, [cosine, _]) in cones {
-        if *cosine <= -1.0 {
-            return all;
-        }
-        sum = [0, 1, 2].map(|i| sum[i] + axis[i]);
-    }
-    let length = dot(sum, sum).sqrt();
-    if length <= CONE_SLACK {
-        return all;
-    }
-    let axis = sum.map(|c| c / length);
-    let mut widest = 1.0f32;
-    for &(other, [cos_psi, sin_psi]) in cones {
-        let cos_alpha = dot(axis, other).clamp(-1.0, 1.0);
-        let sin_alpha = (1.0 - cos_alpha * cos_alpha).sqrt();
-        if sin_alpha * cos_psi + cos_alpha * sin_psi <= 0.0 {
-            return all;
-        }
-        widest = widest.min(cos_alpha * cos_psi - sin_alpha * sin_psi);
-    }
-    let cosine = (widest - CONE_SLACK).max(-1.0);
-    (axis, [cosine, (1.0 - cosine * cosine).max(0.0).sqrt()])
-}
+use crate::mega_views::{LevelParams, PassParams, ViewCone, tree};
+use crate::views::{ViewNode, dot, merged_cone};
 
 pub(super) fn twin(workgroups: [u32; 3], bindings: &mut [CpuBinding]) {
     let [pass, level, tree, views, view_nodes, boxes] = bindings else {
@@ -71,7 +38,7 @@ pub(super) fn twin(workgroups: [u32; 3], bindings: &mut [CpuBinding]) {
             true => (low, 0.0),
             false => ([0, 1, 2].map(|axis| (low[axis] + high[axis]) * 0.5), dot(half, half).sqrt()),
         };
-        let (axis, [cos_psi, sin_psi]) = merged(&cones);
+        let (axis, [cos_psi, sin_psi]) = merged_cone(cones.iter().copied());
         nodes[index] = ViewNode { center, radius, axis, cos_psi, sin_psi, reserved: 0, ..node };
     }
 }
