@@ -237,7 +237,9 @@ pub(crate) fn run(
     }
     if wanted(TableName::Manylods) {
         let settings = TableSettings { levels: MANYLODS_LEVELS, ..settings.clone() };
-        done(tables::manylods(&scenes_or(&MANYLODS_SCENES), &[], &settings, progress)?)?;
+        let scenes = scenes_or(&MANYLODS_SCENES);
+        done(tables::manylods(&scenes, &settings, progress)?)?;
+        done(tables::manylods_single(&scenes, &settings, progress)?)?;
     }
     if wanted(TableName::Throughput) {
         done(tables::throughput(&scenes_or(&GROWING_SCENES), methods, &settings, progress)?)?;

@@ -19,8 +19,9 @@ use super::light_tree::{Choice, ChoiceRule, LightTree};
 use super::receivers::{Receivers, TILE, groups, tile_count};
 use super::{MAX_VIRTUAL_LIGHTS, VirtualLight};
 use crate::render::gbuffer::{GBuffer, Pixel};
+use crate::simd::prefetch;
 use crate::views::{View, ViewError, ViewMaps, ViewRenderer, ViewSettings};
-use crate::visibility::{Bias, Segment, Visibility, VisibilityError, is_hidden};
+use crate::visibility::{Bias, LookUp, Segment, Visibility, VisibilityError};
 use glam::Vec3;
 use manyview_pipeline::bake::Progress;
 use rayon::prelude::*;
@@ -103,6 +104,27 @@ pub struct Gather<'a> {
     /// Width of a pixel, metres per metre of distance.
     spread: f32,
 }
+
+/// Maps of some of the lights.
+struct Shadows<'a> {
+    maps: &'a ViewMaps,
+    /// For every light the place of its map, [`ELSEWHERE`] or [`UNSHADOWED`].
+    places: &'a [u32],
+    bias: &'a Bias,
+}
+
+/// A light that a pixel takes.
+struct Pick {
+    /// Its number, then the place of its map.
+    light: u32,
+    weight: f32,
+    /// What it gives where it is seen.
+    given: Vec3,
+    look_up: Option<LookUp>,
+}
+
+/// Lights that a pixel takes at a time.
+const BATCH: usize = 64;
 
 /// A pixel's sum in one pass.
 type Part = (u32, Vec3, [u32; 2]);
@@ -221,15 +243,7 @@ impl<'a> Gather<'a> {
             for (&view, &map) in maps.views().iter().zip(maps.map_of()) {
                 places[view as usize] = if map == ViewMaps::NO_MAP { UNSHADOWED } else { map };
             }
-            self.add(
-                &mut found,
-                |pixel, position, light| match places[light as usize] {
-                    ELSEWHERE => None,
-                    UNSHADOWED => Some(false),
-                    map => Some(is_hidden(&maps, map as usize, position, pixel.geometric_normal, bias)),
-                },
-                bias,
-            );
+            self.add(&mut found, Some(&Shadows { maps: &maps, places: &places, bias }));
             found.passes += 1;
             progress.advance(maps.views().len() as u64);
             gather_time += clock.elapsed();
@@ -247,44 +261,78 @@ impl<'a> Gather<'a> {
     pub fn unshadowed(&self) -> Gathered {
         let mut found = self.empty();
         let clock = Instant::now();
-        self.add(&mut found, |_, _, _| Some(false), &Bias::new(0.0));
+        self.add(&mut found, None);
         found.gather_time = clock.elapsed();
         found
     }
 
-    /// Adds what lights give of which `test` says whether a pixel's lifted position does not see them; `None` for
-    /// lights of other passes.
-    fn add(
-        &self,
-        found: &mut Gathered,
-        test: impl Fn(&Pixel, [f32; 3], u32) -> Option<bool> + Sync,
-        bias: &Bias,
-    ) {
+    /// Adds what lights give whose maps are there; without maps what all give.
+    fn add(&self, found: &mut Gathered, shadows: Option<&Shadows<'_>>) {
         let tile = |tile: u32| {
             let mut parts: Vec<Part> = Vec::new();
-            let mut choices = Vec::new();
+            let (mut choices, mut batch) = (Vec::new(), Vec::with_capacity(BATCH));
             for Receivers { pixels, group } in groups(self.gbuffer, tile, self.spread) {
                 let total = self.tree.choose(&group, &self.rule, &mut choices);
                 for &index in &pixels {
-                    let pixel = &self.gbuffer.pixels[index as usize];
-                    let position = bias.lifted(pixel.position, pixel.geometric_normal);
-                    let (mut sum, mut tests) = (Vec3::ZERO, [0; 2]);
+                    let mut part = (index, Vec3::ZERO, [0; 2]);
                     self.sample(index, &choices, total, |light, weight| {
                         let of = &self.tree.lights()[light as usize];
-                        let Some(irradiance) = self.irradiance(pixel, of) else { return };
-                        let Some(is_hidden) = test(pixel, position, light) else { return };
-                        tests = [tests[0] + 1, tests[1] + u32::from(is_hidden)];
-                        if !is_hidden {
-                            sum += irradiance * weight;
+                        prefetch(&of.position, 0);
+                        prefetch(&of.intensity, 2);
+                        if let Some(shadows) = shadows {
+                            prefetch(shadows.places, light as usize);
+                        }
+                        batch.push(Pick { light, weight, given: Vec3::ZERO, look_up: None });
+                        if batch.len() == BATCH {
+                            self.add_batch(&mut part, &mut batch, shadows);
                         }
                     });
-                    parts.push((index, sum, tests));
+                    self.add_batch(&mut part, &mut batch, shadows);
+                    parts.push(part);
                 }
             }
             parts
         };
         let parts: Vec<Vec<Part>> = (0..tile_count(self.gbuffer)).into_par_iter().map(tile).collect();
         parts.into_iter().flatten().for_each(|part| found.take(part));
+    }
+
+    /// Adds what some lights give a pixel. Lights, middles of maps and maps are each somewhere in memory: every step asks
+    /// for what the next one reads, so that the waits of a batch overlap.
+    #[inline]
+    fn add_batch(&self, part: &mut Part, batch: &mut Vec<Pick>, shadows: Option<&Shadows<'_>>) {
+        let (index, sum, tests) = part;
+        let pixel = &self.gbuffer.pixels[*index as usize];
+        batch.retain_mut(|pick| {
+            let of = &self.tree.lights()[pick.light as usize];
+            let Some(irradiance) = self.irradiance(pixel, of) else { return false };
+            pick.given = irradiance * pick.weight;
+            if let Some(shadows) = shadows {
+                let map = shadows.places[pick.light as usize];
+                pick.light = map;
+                prefetch(shadows.maps.centers(), map as usize);
+                return map != ELSEWHERE;
+            }
+            true
+        });
+        if let Some(Shadows { maps, bias, .. }) = shadows {
+            let position = bias.lifted(pixel.position, pixel.geometric_normal);
+            for pick in batch.iter_mut().filter(|pick| pick.light != UNSHADOWED) {
+                pick.look_up = Some(LookUp::new(maps, pick.light as usize, position));
+            }
+        }
+        for pick in batch.drain(..) {
+            let is_hidden = match (pick.look_up, shadows) {
+                (Some(look_up), Some(Shadows { maps, bias, .. })) => {
+                    look_up.is_hidden(maps, pixel.geometric_normal, bias)
+                }
+                _ => false,
+            };
+            *tests = [tests[0] + 1, tests[1] + u32::from(is_hidden)];
+            if !is_hidden {
+                *sum += pick.given;
+            }
+        }
     }
 
     /// Lights the pixels by lights that `method` tests segment by segment; they end `lift_metres` off the lights' surfaces.

@@ -1,6 +1,7 @@
 //! The maps of some views.
 
 use super::ViewSettings;
+use crate::simd::prefetch;
 use half::f16;
 use manyview_shaders::paraboloid::{texel, texel_count};
 
@@ -119,6 +120,16 @@ impl ViewMaps {
         match &self.depths {
             Depths::Full(depths) => depths[at],
             Depths::Half(depths) => depths[at].to_f32(),
+        }
+    }
+
+    /// Asks for a texel that will be read soon.
+    #[inline]
+    pub(crate) fn prefetch_depth(&self, map: usize, texel: usize) {
+        let at = map * texel_count(self.resolution) + texel;
+        match &self.depths {
+            Depths::Full(depths) => prefetch(depths, at),
+            Depths::Half(depths) => prefetch(depths, at),
         }
     }
 

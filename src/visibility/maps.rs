@@ -51,25 +51,52 @@ impl Bias {
 /// Whether a receiver at `position` ([`Bias::lifted`]) with this normal (zero for none) lies behind what a map holds.
 #[inline]
 pub fn is_hidden(maps: &ViewMaps, map: usize, position: [f32; 3], normal: [f32; 3], bias: &Bias) -> bool {
-    let center = maps.centers()[map];
-    let offset = [0, 1, 2].map(|i| position[i] - center[i]);
-    let distance = (offset[0] * offset[0] + offset[1] * offset[1] + offset[2] * offset[2]).sqrt();
-    if distance == 0.0 {
-        return false;
+    LookUp::new(maps, map, position).is_hidden(maps, normal, bias)
+}
+
+/// Where a map shows a receiver: the part of the test before the map's memory is touched, which is far away for most.
+#[derive(Debug, Clone, Copy)]
+pub(crate) struct LookUp {
+    map: u32,
+    texel: u32,
+    offset: [f32; 3],
+    distance: f32,
+}
+
+impl LookUp {
+    /// Finds the texel, and asks for its depth.
+    #[inline]
+    pub(crate) fn new(maps: &ViewMaps, map: usize, position: [f32; 3]) -> Self {
+        let center = maps.centers()[map];
+        let offset = [0, 1, 2].map(|i| position[i] - center[i]);
+        let distance = (offset[0] * offset[0] + offset[1] * offset[1] + offset[2] * offset[2]).sqrt();
+        let texel = match distance > 0.0 {
+            true => paraboloid::texel(offset, distance, maps.resolution()),
+            false => 0,
+        };
+        maps.prefetch_depth(map, texel as usize);
+        Self { map: map as u32, texel, offset, distance }
     }
-    let texel = paraboloid::texel(offset, distance, maps.resolution());
-    let depth = maps.depth(map, texel as usize);
-    if distance <= depth {
-        return false;
+
+    /// The answer.
+    #[inline]
+    pub(crate) fn is_hidden(&self, maps: &ViewMaps, normal: [f32; 3], bias: &Bias) -> bool {
+        let Self { offset, distance, texel, .. } = *self;
+        let depth = maps.depth(self.map as usize, texel as usize);
+        if distance <= depth || distance == 0.0 {
+            return false;
+        }
+        // Texels of a paraboloid map are the wider the farther from its axis; here as an angle, and metres there.
+        let width = 2.0 * (1.0 + offset[0].abs() / distance) / maps.resolution() as f32;
+        let bias_metres = bias.texels * width * distance + bias.voxels * bias.voxel_metres;
+        let nearest = match normal == [0.0; 3] {
+            true => distance,
+            false => {
+                nearest_of_plane(texel, maps.resolution(), offset, normal, bias.reach_texels).min(distance)
+            }
+        };
+        nearest - bias_metres > depth
     }
-    // Texels of a paraboloid map are the wider the farther from its axis; here as an angle, and metres there.
-    let width = 2.0 * (1.0 + offset[0].abs() / distance) / maps.resolution() as f32;
-    let bias_metres = bias.texels * width * distance + bias.voxels * bias.voxel_metres;
-    let nearest = match normal == [0.0; 3] {
-        true => distance,
-        false => nearest_of_plane(texel, maps.resolution(), offset, normal, bias.reach_texels).min(distance),
-    };
-    nearest - bias_metres > depth
 }
 
 /// How near the plane through `offset` with this normal comes to the middle of a map within `reach_texels` of a texel's

@@ -1,15 +1,16 @@
-//! \[ML\] Table 1: the time of the maps of 1,024 virtual point lights, method by method, and what lists take.
+//! \[ML\] Tables 1 and 2: the time of the maps of 1,024 virtual point lights, method by method, and what lists take; and
+//! a tree of points, made, moved and cut for a single view.
 
 use super::TableSettings;
 use super::subject::Subject;
 use crate::bench::table::{Cell, Table};
 use crate::bench::{BenchError, BenchScene, Random, SceneSource};
-use crate::manylods::{CutState, CutStats, Steps, SvoCuts};
+use crate::manylods::{CutState, CutStats, PointCutState, PointCuts, Steps, SvoCuts};
 use crate::reference::{Reference, area_normal};
 use crate::rivals::ism::{IsmOptions, IsmVisibility};
-use crate::views::{View, ViewError, ViewRenderer, ViewSettings};
+use crate::views::{Polygons, View, ViewError, ViewRenderer, ViewSettings};
 use crate::visibility::{LightPoint, Receiver, Visibility, light_words};
-use glam::DVec3;
+use glam::{DVec3, Quat, Vec3};
 use manyview_pipeline::bake::Progress;
 use manyview_shaders::scene_tree::SceneTree;
 use std::f32::consts::FRAC_PI_2;
@@ -19,14 +20,9 @@ use std::time::Instant;
 /// Frames that kept cuts are timed over.
 const FRAMES: usize = 8;
 
-/// Another renderer to time beside ours, such as rasterized maps: made for a scene.
-pub type RivalOf<'a> = dyn Fn(&Subject<'_>) -> Result<Box<dyn ViewRenderer>, BenchError> + 'a;
-
 /// Time and memory of the maps of [`TableSettings::lights`] views that lie on surfaces, a half space each, and move slowly.
-/// `rivals` are timed beside.
 pub fn manylods(
     scenes: &[SceneSource],
-    rivals: &[(&'static str, &RivalOf<'_>)],
     settings: &TableSettings,
     progress: &dyn Progress,
 ) -> Result<Table, BenchError> {
@@ -49,18 +45,13 @@ pub fn manylods(
             return Err(BenchError::Cancelled);
         }
         let scene = BenchScene::load(source)?;
-        one_scene(&scene, rivals, settings, &mut table)?;
+        one_scene(&scene, settings, &mut table)?;
         progress.advance(1);
     }
     Ok(table)
 }
 
-fn one_scene(
-    scene: &BenchScene,
-    rivals: &[(&'static str, &RivalOf<'_>)],
-    settings: &TableSettings,
-    table: &mut Table,
-) -> Result<(), BenchError> {
+fn one_scene(scene: &BenchScene, settings: &TableSettings, table: &mut Table) -> Result<(), BenchError> {
     let subject = Subject::new(scene, settings.levels, [64, 64])?;
     let failed = |source: ViewError| BenchError::Views { method: "manylods".to_owned(), source };
     let load = |error| BenchError::Load { scene: scene.name.clone(), source: Box::new(error) };
@@ -82,12 +73,10 @@ fn one_scene(
     };
     let maps = ViewSettings::new(16);
 
-    for (name, rival) in rivals {
-        let rival = rival(&subject)?;
-        let seconds = best_of(settings.repeats, || rival.render_views(&frames[0], &maps).map(|_| ()))
-            .map_err(|source| BenchError::Views { method: (*name).to_owned(), source })?;
-        push(name, seconds, None);
-    }
+    let polygons = Polygons::new(reference);
+    let seconds = best_of(settings.repeats, || polygons.render_views(&frames[0], &maps).map(|_| ()))
+        .map_err(|source| BenchError::Views { method: "polygons".to_owned(), source })?;
+    push("polygons", seconds, None);
     let ism = IsmVisibility::new(reference, IsmOptions { resolution: 16, ..IsmOptions::default() });
     let lights: Vec<LightPoint> = frames[0].iter().map(|view| LightPoint::at(view.position)).collect();
     // One receiver: the time is that of the maps.
@@ -108,8 +97,8 @@ fn one_scene(
         Ok(())
     })
     .map_err(failed)?;
-    push("basic", seconds, Some(stats));
-    for (name, steps) in [("incremental", Steps::All), ("lazy", Steps::AtMost(1))] {
+    push("octree, basic", seconds, Some(stats));
+    for (name, steps) in [("octree, incremental", Steps::All), ("octree, lazy", Steps::AtMost(1))] {
         let mut state = CutState::new();
         cuts.render_frame(&mut state, &frames[0], &maps, Steps::All).map_err(failed)?;
         let begun = Instant::now();
@@ -118,7 +107,108 @@ fn one_scene(
         }
         push(name, begun.elapsed().as_secs_f64() / (frames.len() - 1) as f64, Some(stats));
     }
+    let Some(points) = PointCuts::new(&moved(reference, 0.0), POINTS_DEPTH, settings.seed) else {
+        return Ok(());
+    };
+    let seconds =
+        best_of(settings.repeats, || points.render_views(&frames[0], &maps).map(|_| ())).map_err(failed)?;
+    push("points, basic", seconds, None);
+    for (name, steps) in [("points, incremental", Steps::All), ("points, lazy", Steps::AtMost(1))] {
+        let mut state = PointCutState::new();
+        points.render_frame(&mut state, &frames[0], &maps, Steps::All).map_err(failed)?;
+        let begun = Instant::now();
+        for views in &frames[1..] {
+            (_, stats) = points.render_frame(&mut state, views, &maps, steps).map_err(failed)?;
+        }
+        push(name, begun.elapsed().as_secs_f64() / (frames.len() - 1) as f64, Some(stats));
+    }
     Ok(())
+}
+
+/// log2 of the number of points: about a million.
+const POINTS_DEPTH: u32 = 20;
+/// Texels a side of the single view's halves: its front half has as many as a large picture.
+const SINGLE_RESOLUTION: u32 = 1024;
+/// Sizes in texels below which a node of the single view's cut counts as a point.
+const SINGLE_TEXELS: [f32; 3] = [1.0, 2.0, 4.0];
+
+/// \[ML\] Table 2: time to make a tree of points, to follow triangles that have moved, and to cut it for a single view.
+pub fn manylods_single(
+    scenes: &[SceneSource],
+    settings: &TableSettings,
+    progress: &dyn Progress,
+) -> Result<Table, BenchError> {
+    let columns = [
+        "scene",
+        "triangles",
+        "points",
+        "build s",
+        "update ms",
+        "cut at 1 texel ms",
+        "at 2",
+        "at 4",
+        "nodes at 1 texel",
+        "at 2 texels",
+        "at 4 texels",
+    ];
+    let mut table = Table::new("manylods-single", "A tree of points and a single view", &columns);
+    progress.begin("single views", scenes.len() as u64, "scenes");
+    for source in scenes {
+        if progress.cancelled() {
+            return Err(BenchError::Cancelled);
+        }
+        let scene = BenchScene::load(source)?;
+        let reference = Reference::new(&scene.scene, &scene.row_triangles, &scene.cutouts);
+        let triangles = moved(&reference, 0.0);
+        let begun = Instant::now();
+        let Some(mut points) = PointCuts::new(&triangles, POINTS_DEPTH, settings.seed) else { continue };
+        let build = begun.elapsed().as_secs_f64();
+        let after = moved(&reference, 0.01);
+        let mut update = f64::INFINITY;
+        for _ in 0..settings.repeats.max(1) {
+            let begun = Instant::now();
+            points.update(&after);
+            update = update.min(begun.elapsed().as_secs_f64());
+        }
+        let (center, half) = (DVec3::from(scene.lattice.center), DVec3::from(scene.lattice.half_extent));
+        let eye = (center + half * 2.0).as_vec3();
+        let forward = (center.as_vec3() - eye).normalize_or(Vec3::NEG_Z);
+        let view = View::new(eye.to_array(), forward.to_array(), FRAC_PI_2);
+        let mut row = vec![
+            Cell::Text(scene.name.clone()),
+            Cell::Count(triangles.len() as u64),
+            Cell::Count(points.tree().len() as u64),
+            Cell::Number(build, 2),
+            Cell::Number(1e3 * update, 1),
+        ];
+        let mut counts = Vec::new();
+        for texels in SINGLE_TEXELS {
+            let drawing = ViewSettings { texels, ..ViewSettings::new(SINGLE_RESOLUTION) };
+            let mut nodes = 0;
+            let seconds = best_of(settings.repeats, || {
+                nodes = points.cut(&view, &drawing).len();
+                Ok(())
+            });
+            let seconds =
+                seconds.map_err(|source| BenchError::Views { method: "points".to_owned(), source })?;
+            row.push(Cell::Number(1e3 * seconds, 2));
+            counts.push(Cell::Count(nodes as u64));
+        }
+        row.extend(counts);
+        table.push(row);
+        progress.advance(1);
+    }
+    Ok(table)
+}
+
+/// The triangles, each corner turned about the vertical axis by `angle` for each metre above the middle.
+fn moved(reference: &Reference<'_>, angle: f32) -> Vec<[Vec3; 3]> {
+    let center = reference.center().as_vec3();
+    let turn = |p: DVec3| {
+        let p = p.as_vec3() - center;
+        Quat::from_rotation_y(angle * p.y) * p + center
+    };
+    reference.triangles().iter().map(|triangle| triangle.map(turn)).collect()
 }
 
 fn best_of(times: u32, mut work: impl FnMut() -> Result<(), ViewError>) -> Result<f64, ViewError> {
@@ -171,9 +261,16 @@ mod tests {
     #[test]
     fn every_method_has_a_row() {
         let settings = TableSettings { lights: 20, levels: 6, repeats: 1, ..TableSettings::default() };
-        let table = manylods(&["town:2000".parse().unwrap()], &[], &settings, &Silent).unwrap();
-        let methods: Vec<&Cell> = table.rows.iter().map(|row| &row[2]).collect();
-        assert_eq!(methods[1..], [&"basic".into(), &"incremental".into(), &"lazy".into()]);
+        let town = ["town:2000".parse().unwrap()];
+        let table = manylods(&town, &settings, &Silent).unwrap();
+        assert_eq!(table.rows.len(), 8);
         assert!(table.rows.iter().all(|row| matches!(row[3], Cell::Number(ms, _) if ms > 0.0)));
+        let single = manylods_single(&town, &settings, &Silent).unwrap();
+        let [row] = single.rows.as_slice() else { panic!("one row") };
+        let nodes = [8, 9, 10].map(|column| match row[column] {
+            Cell::Count(count) => count,
+            _ => 0,
+        });
+        assert!(nodes[0] > nodes[1] && nodes[1] > nodes[2] && nodes[2] > 0, "{nodes:?}");
     }
 }

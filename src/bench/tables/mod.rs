@@ -9,6 +9,7 @@
 //! | V | [`dynamic`], [`deforming_rows`] | moving and deforming objects |
 //! | VI | [`throughput`] | rays a second against triangles |
 //! | 1 of \[ML\] | [`manylods()`] | time and lists of the maps of many lights |
+//! | 2 of \[ML\] | [`manylods_single`] | a tree of points, and its cut for one view |
 //!
 //! and, of methods that draw many views, [`view_growth`], [`view_agreement`], [`view_resolutions`], [`view_levels`] and
 //! [`view_culling`].
@@ -33,7 +34,7 @@ mod views;
 pub use dynamic::{DynamicSettings, deforming_rows, dynamic};
 pub use errors::Errors;
 pub use images::{directions, lights, resolution, scenes, throughput};
-pub use manylods::{RivalOf, manylods};
+pub use manylods::{manylods, manylods_single};
 pub use measure::{Measured, Measurement};
 pub use methods::{Method, MethodSource, OurMethods};
 pub use subject::Subject;
