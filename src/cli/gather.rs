@@ -35,7 +35,7 @@ pub(super) struct Arguments {
     /// Memory for maps, such as 4GiB; what does not fit is drawn in passes
     #[arg(long, value_name = "SIZE", default_value = "4GiB", value_parser = memory_size)]
     max_memory: u64,
-    /// Of virtual lights, or of more than 100,000 others: how many each pixel is lit by, chosen at random by how much they
+    /// Of virtual lights, or of more than 10,000 points: how many each pixel is lit by, chosen at random by how much they
     /// may give, or `all`
     #[arg(long, value_name = "N|all", default_value = "64", value_parser = samples)]
     vpl_samples: Samples,

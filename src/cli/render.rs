@@ -18,7 +18,7 @@ use manyview::radiosity::{Primaries, VplOptions};
 use manyview::render::gbuffer::{GBuffer, MAX_PIXELS, MAX_SIDE};
 use manyview::render::glow::glow;
 use manyview::render::image::{Exposure, LitImage, Provenance, RenderError, picture, render_with};
-use manyview::render::lights::{LightSource, MAX_LIGHTS};
+use manyview::render::lights::{CHOICE_LIGHTS, LightSource, MAX_LIGHTS};
 use manyview::render::methods::{Ingredients, Method, MethodError, visibility};
 use manyview::render::raster;
 use manyview::render::scene::RenderScene;
@@ -189,6 +189,10 @@ fn draw(options: &Options, formats: &[PictureFormat], progress: &Progress) -> Cl
             (Some(found), seconds)
         }
         None if lights.len() > MAX_LIGHTS => (Some(gather::as_points(&lights)?), 0.0),
+        // Which lights a pixel sees can only be told if it asks for all.
+        None if lights.len() > CHOICE_LIGHTS && options.light_bits.is_none() => {
+            (gather::as_points(&lights).ok(), 0.0)
+        }
         None => (None, 0.0),
     };
     if small_lights.is_some() && options.light_bits.is_some() {

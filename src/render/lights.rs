@@ -21,6 +21,8 @@ use std::str::FromStr;
 
 /// The most lights of a picture that every pixel is lit by; of more it takes a choice ([`crate::radiosity`]).
 pub const MAX_LIGHTS: usize = 100_000;
+/// Beyond so many point lights every pixel takes a choice if it may: a picture of a million pixels would test 10¹⁰ segments.
+pub const CHOICE_LIGHTS: usize = 10_000;
 /// The most lights of a picture at all.
 pub const MAX_GATHERED_LIGHTS: usize = crate::radiosity::MAX_VIRTUAL_LIGHTS;
 /// Generated when a scene has no lights and none are asked for.
