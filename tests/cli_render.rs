@@ -324,3 +324,71 @@ fn virtual_lights_by_maps_are_like_exact_ones() {
         render(2, &["--lights", "vpl:9", "-o", text(&at("p.png")), "--light-bits", text(&at("b.npy"))]);
     assert!(stderr.contains("--light-bits"), "{stderr}");
 }
+
+/// A channel of an EXR.
+fn channel(path: &Path, name: &str) -> Vec<f32> {
+    let image = exr::prelude::read_first_flat_layer_from_file(path).unwrap();
+    let found = image.layer_data.channel_data.list.iter().find(|c| c.name.eq(name)).unwrap();
+    found.sample_data.values_as_f32().collect()
+}
+
+#[test]
+fn light_over_points_is_like_that_of_virtual_lights() {
+    let folder = tempfile::tempdir().unwrap();
+    let at = |name: &str| folder.path().join(name);
+    let (archive, lights) = (at("a.mvb"), at("lights.json"));
+    let scene = at("s.glb");
+    expect_exit(0, &["scene", "town", "--triangles", "2000", "-o", text(&scene)]);
+    expect_exit(0, &["bake", text(&scene), "-o", text(&archive), "--levels", "9", "--rows", "0"]);
+    fs_err::write(
+        &lights,
+        r#"[{"position": [0, 40, 0], "intensity": 9000}, {"position": [30, 30, 20], "intensity": 5000, "color": [1, 0.5, 0.2]}]"#,
+    )
+    .unwrap();
+    let points =
+        ["--bake", text(&archive), "--gi", "points:300", "--lights", text(&lights), "--exposure", "0"];
+    let of = |name: &str, more: &[&str]| {
+        let exr = at(name);
+        let (stdout, _) = render(0, &[&points[..], &["--format", "json", "-o", text(&exr)], more].concat());
+        (exr, serde_json::from_str::<Value>(&stdout).unwrap())
+    };
+    let (all, told) = of("all.exr", &[]);
+    assert_eq!((&told["gi"]["views"], &told["gi"]["lit_level"]), (&300.into(), &9.into()), "{told}");
+    assert!(told["gi"]["seconds"]["maps"].is_number() && told["lights"] == 2);
+    let (again, _) = of("again.exr", &[]);
+    assert_eq!(fs_err::read(&all).unwrap(), fs_err::read(&again).unwrap());
+    // The same light as that of very many virtual lights at first hits, all of them tested by rays.
+    let (indirect, _) = of("indirect.exr", &["--indirect-only", "--resolution", "64"]);
+    let exact = at("exact.exr");
+    let vpls = ["--lights", "vpl:3000:1", "--primary", text(&lights), "--vpl-samples", "all"];
+    render(0, &[&vpls[..], &["--indirect-only", "--exposure", "0", "-o", text(&exact)]].concat());
+    let [all, indirect, exact] = [&all, &indirect, &exact].map(|path| channel(path, "G"));
+    let mean = |values: &[f32]| values.iter().sum::<f32>() / values.len() as f32;
+    let error = indirect.iter().zip(&exact).map(|(a, b)| (a - b).abs()).sum::<f32>() / exact.len() as f32;
+    eprintln!("{} {} {error}", mean(&indirect), mean(&exact));
+    assert!((mean(&indirect) / mean(&exact) - 1.0).abs() < 0.15, "{} {}", mean(&indirect), mean(&exact));
+    assert!(error < 0.3 * mean(&exact), "{error} {}", mean(&exact));
+    assert!(mean(&all) > 1.5 * mean(&indirect), "lights are seen too");
+}
+
+#[test]
+fn light_over_points_is_refused_where_it_makes_no_sense() {
+    let folder = tempfile::tempdir().unwrap();
+    let (png, bits) = (folder.path().join("p.png"), folder.path().join("b.npy"));
+    for (arguments, part) in [
+        (vec!["--gi", "points:0"], "1 to 1000000 views"),
+        (vec!["--gi", "points:1000001"], "1 to 1000000 views"),
+        (vec!["--gi", "lines"], "points:VIEWS"),
+        (vec!["--gi", "points", "--lights", "vpl:9"], "not vpl:N"),
+        (vec!["--gi", "points", "--lights", "random:200000"], "at most 100000"),
+        (vec!["--gi", "points", "--resolution", "12"], "use 8, 16"),
+        (vec!["--gi", "points", "--indirect-only", "--light-bits", text(&bits)], "--light-bits"),
+    ] {
+        let (_, stderr) = render(2, &[&arguments[..], &["-o", text(&png)]].concat());
+        assert!(stderr.contains(part), "{arguments:?}: {stderr}");
+    }
+    let small = ["--gi", "points:50", "--lights", "random:2", "--max-memory", "1KiB", "-o", text(&png)];
+    let (_, stderr) = render(4, &small);
+    assert!(stderr.contains("budget"), "{stderr}");
+    assert!(!png.exists() && !bits.exists());
+}
