@@ -33,7 +33,7 @@ const HEIGHT: u32 = SIDE / 2;
 /// Mirrors a side of their grid.
 const GRID: u32 = 20;
 /// The picture's size in pixels, and rays a side of a pixel.
-const SIZE: [u32; 2] = [960, 540];
+const SIZE: [u32; 2] = [720, 405];
 const RAYS: u32 = 2;
 
 fn main() -> Result<(), Box<dyn Error>> {
@@ -193,10 +193,10 @@ fn by_map(
 
 fn camera() -> Camera {
     Camera {
-        eye: glam::DVec3::new(7.4, 2.6, 7.5),
-        target: glam::DVec3::new(3.2, 0.55, 3.0),
+        eye: glam::DVec3::new(7.5, 2.1, 7.5),
+        target: glam::DVec3::new(4.4, 0.6, 4.4),
         up: glam::DVec3::Y,
-        fov_degrees: 50.0,
+        fov_degrees: 42.0,
     }
 }
 

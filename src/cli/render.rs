@@ -159,16 +159,17 @@ pub(crate) fn run(options: &Options) -> CliResult {
 
 fn draw(options: &Options, formats: &[PictureFormat], progress: &Progress) -> CliResult {
     let clock = Instant::now();
+    let vpls = vpl_options(options);
+    check_gi(options, vpls.is_some())?;
+    let maps = options.gather.maps()?;
     let scene = load(options)?;
     let archive = archive_of(options, &scene)?;
     cancel::check()?;
     let exact = ExactRays::new(scene.reference());
     cancel::check()?;
-    let maps = options.gather.maps()?;
     let camera = camera_of(options, &scene)?;
     cancel::check()?;
     let mut lights = lights_of(options, &scene, &exact)?;
-    let vpls = vpl_options(options);
     if vpls.is_some() && Primaries::new(&scene, exact.reference(), &lights).are_dark() {
         tell(
             options.format,
@@ -196,19 +197,8 @@ fn draw(options: &Options, formats: &[PictureFormat], progress: &Progress) -> Cl
         None if lights.len() > MAX_LIGHTS => (Some(gather::as_points(&lights)?), 0.0),
         None => (None, 0.0),
     };
-    if small_lights.is_some() && options.gi.is_some() {
-        let message = format!(
-            "--gi lights surfaces by every light: name at most {MAX_LIGHTS} with --lights, and not vpl:N, which is another way \
-             to the same light"
-        );
-        return Err(CliError::usage(message));
-    }
+    check_gi(options, small_lights.is_some())?;
     let only_indirect = options.gi.is_some() && options.gather.indirect_only;
-    if only_indirect && options.light_bits.is_some() {
-        let message =
-            "--light-bits says which lights a pixel sees; with --indirect-only no pixel asks: leave one out";
-        return Err(CliError::usage(message));
-    }
     if small_lights.is_some() && options.light_bits.is_some() {
         let message =
             "--light-bits says which of all lights a pixel sees; here each is lit by a choice of lights";
@@ -370,6 +360,25 @@ fn spare_inputs(options: &Options) -> Result<(), CliError> {
 fn vpl_options(options: &Options) -> Option<VplOptions> {
     let Some(LightSource::Virtual { count, bounces, seed }) = options.lights else { return None };
     Some(VplOptions { count, bounces, seed, indirect_only: options.gather.indirect_only })
+}
+
+/// What `--gi` does not go with: lights that each pixel takes a choice of, and bits that nobody asks for.
+fn check_gi(options: &Options, is_gathered: bool) -> Result<(), CliError> {
+    if options.gi.is_none() {
+        return Ok(());
+    }
+    if is_gathered {
+        return Err(CliError::usage(format!(
+            "--gi lights surfaces by every light: name at most {MAX_LIGHTS} with --lights, and not vpl:N, which is another way \
+             to the same light"
+        )));
+    }
+    if options.gather.indirect_only && options.light_bits.is_some() {
+        let message =
+            "--light-bits says which lights a pixel sees; with --indirect-only no pixel asks: leave one out";
+        return Err(CliError::usage(message));
+    }
+    Ok(())
 }
 
 fn announce(options: &Options, lights: usize, is_gathered: bool) {

@@ -72,9 +72,10 @@ fn in_a_closed_box_that_glows_irradiance_is_pi_times_radiance() {
     let receivers: Vec<PointReceiver> =
         (0..40).map(|_| receiver(vector() * 0.9, vector().normalize_or(Vec3::X))).collect();
     for resolution in [16, 32] {
-        for found in both(&svo, &lit, &receivers, resolution).concat() {
-            close(found, radiance * PI, 5e-3);
-        }
+        let [maps, casts] = both(&svo, &lit, &receivers, resolution);
+        // Exact casts find a closed box closed; of maps a few texels stay empty.
+        maps.into_iter().for_each(|found| close(found, radiance * PI, 0.01));
+        casts.into_iter().for_each(|found| close(found, radiance * PI, 1e-5));
     }
 }
 
