@@ -33,7 +33,7 @@ const HEIGHT: u32 = SIDE / 2;
 /// Mirrors a side of their grid.
 const GRID: u32 = 20;
 /// The picture's size in pixels, and rays a side of a pixel.
-const SIZE: [u32; 2] = [720, 405];
+const SIZE: [u32; 2] = [672, 378];
 const RAYS: u32 = 2;
 
 fn main() -> Result<(), Box<dyn Error>> {
