@@ -8,7 +8,8 @@
 //! # Practice
 //! [`Primaries`] are the lights that paths begin at, [`trace`] makes virtual lights, [`LightTree`] puts them in order,
 //! [`Gather`] lights the pixels of a G-buffer by them, [`filter()`] takes the noise out. The same gather takes other lights at
-//! positions, glowing particles say, which is why a [`VirtualLight`] may shine all around.
+//! positions, glowing particles say, which is why a [`VirtualLight`] may shine all around. [`points`] is another way to the same
+//! light, without virtual lights.
 //!
 //! Every picture depends on its inputs alone, not on threads.
 //!
@@ -18,6 +19,7 @@ mod emission;
 mod filter;
 mod gather;
 mod light_tree;
+pub mod points;
 mod receivers;
 mod vpl;
 

@@ -12,9 +12,15 @@
 //! equal angles of about half a texel; where it has first come behind the map's surface the place is bisected. Distances
 //! along the ray follow from the law of sines. Colours are mixed between four texels in linear light.
 //!
+//! [`Mirrors`] are many spheres that see each other too: `examples/reflections.rs`.
+//!
 //! What is hidden from the middle is in no map: a ray that passes behind something stops at it as if it had no end.
 //!
 //! \[ML\] Holländer et al., *ManyLoDs*, CGF 30(4), 2011. \[MV\] Kol et al., *MegaViews*, CGF 2018.
+
+mod mirrors;
+
+pub use mirrors::{Mirrors, Sphere};
 
 use crate::views::ViewMaps;
 use glam::Vec3;

@@ -323,3 +323,126 @@ fn virtual_lights_by_maps_are_like_exact_ones() {
         render(2, &["--lights", "vpl:9", "-o", text(&at("p.png")), "--light-bits", text(&at("b.npy"))]);
     assert!(stderr.contains("--light-bits"), "{stderr}");
 }
+
+/// A channel of an EXR.
+fn channel(path: &Path, name: &str) -> Vec<f32> {
+    let image = exr::prelude::read_first_flat_layer_from_file(path).unwrap();
+    let found = image.layer_data.channel_data.list.iter().find(|c| c.name.eq(name)).unwrap();
+    found.sample_data.values_as_f32().collect()
+}
+
+/// A closed room, eight metres long, of walls in three colours, and a block that stands in it.
+fn write_room(path: &Path) {
+    use glam::{DMat4, Vec3, Vec4};
+    use manyview_pipeline::scene::{Instance, Material, Mesh, Scene};
+    // The sides of a box whose fronts face out, or in.
+    let sides = |min: Vec3, max: Vec3, inward: bool, material: u32| -> Vec<Mesh> {
+        let side = |number: usize| {
+            let (axis, is_far) = (number / 2, number % 2 == 1);
+            let (u, v) = ((axis + 1) % 3, (axis + 2) % 3);
+            let corner = |a: bool, b: bool| {
+                let mut at = min;
+                at[axis] = if is_far { max[axis] } else { min[axis] };
+                at[u] = if a { max[u] } else { min[u] };
+                at[v] = if b { max[v] } else { min[v] };
+                at
+            };
+            let positions =
+                vec![corner(false, false), corner(true, false), corner(true, true), corner(false, true)];
+            let triangles =
+                if is_far == inward { vec![[0, 2, 1], [0, 3, 2]] } else { vec![[0, 1, 2], [0, 2, 3]] };
+            let material = if inward { axis as u32 } else { material };
+            Mesh { positions, triangles, material, ..Mesh::default() }
+        };
+        (0..6).map(side).collect()
+    };
+    let mut meshes = sides(Vec3::new(-4.0, 0.0, -3.0), Vec3::new(4.0, 4.0, 3.0), true, 0);
+    meshes.extend(sides(Vec3::new(-1.0, 0.0, -1.5), Vec3::new(0.5, 2.0, 0.0), false, 1));
+    let colors = [[0.8, 0.2, 0.1], [0.7, 0.7, 0.7], [0.2, 0.6, 0.3]];
+    let scene = Scene {
+        instances: (0..meshes.len() as u32)
+            .map(|mesh| Instance { mesh, world_from_object: DMat4::IDENTITY })
+            .collect(),
+        meshes,
+        materials: colors
+            .map(|[r, g, b]| Material { base_color: Vec4::new(r, g, b, 1.0), ..Material::default() })
+            .into(),
+        ..Scene::default()
+    };
+    manyview_pipeline::glb::write_glb(&scene, &mut fs_err::File::create(path).unwrap()).unwrap();
+}
+
+#[test]
+fn light_over_points_is_like_that_of_virtual_lights() {
+    let folder = tempfile::tempdir().unwrap();
+    let at = |name: &str| folder.path().join(name);
+    let [scene, archive, lights, camera] = ["s.glb", "a.mvb", "l.json", "c.toml"].map(at);
+    write_room(&scene);
+    expect_exit(0, &["bake", text(&scene), "-o", text(&archive), "--levels", "8", "--rows", "0"]);
+    fs_err::write(
+        &lights,
+        r#"[{"position": [2, 3, 1], "intensity": 90}, {"position": [-3, 1, 2], "intensity": 30, "color": [1, 0.5, 0.2]}]"#,
+    )
+    .unwrap();
+    fs_err::write(&camera, "eye = [3.6, 2.2, 2.6]\ntarget = [-2, 1.2, -1.5]\nfov = 70").unwrap();
+    let of = |name: &str, more: &[&str]| {
+        let exr = at(name);
+        let room = ["render", text(&scene), "--camera", text(&camera), "--size", "48x32", "--backend", "cpu"];
+        let told = json(&[&room[..], &["--exposure", "0", "-o", text(&exr)], more].concat());
+        (exr, told)
+    };
+    let points = |name: &str, kind: &str, more: &[&str]| {
+        let bake = ["--bake", text(&archive), "--gi", kind, "--lights", text(&lights)];
+        of(name, &[&bake[..], more].concat())
+    };
+    let (all, told) = points("all.exr", "points:300", &[]);
+    assert_eq!((&told["gi"]["views"], &told["gi"]["lit_level"]), (&300.into(), &8.into()), "{told}");
+    assert!(told["gi"]["seconds"]["maps"].is_number() && told["lights"] == 2);
+    let (again, _) = points("again.exr", "points:300", &[]);
+    assert_eq!(fs_err::read(&all).unwrap(), fs_err::read(&again).unwrap());
+    // The same light as that of very many virtual lights at first hits, all of them tested by rays.
+    let indirect = ["--indirect-only", "--resolution", "64"];
+    let (maps, _) = points("maps.exr", "points:300", &indirect);
+    let (casts, _) = points("casts.exr", "raycast:300", &["--indirect-only", "--resolution", "32"]);
+    let vpls =
+        ["--lights", "vpl:3000:1", "--primary", text(&lights), "--vpl-samples", "all", "--indirect-only"];
+    let (exact, _) = of("exact.exr", &vpls);
+    let mean = |values: &[f32]| values.iter().sum::<f32>() / values.len() as f32;
+    for color in ["R", "G", "B"] {
+        let exact = channel(&exact, color);
+        for (name, path) in [("maps", &maps), ("casts", &casts)] {
+            let found = channel(path, color);
+            let errors: Vec<f32> = found.iter().zip(&exact).map(|(a, b)| (a - b).abs()).collect();
+            let (bias, error) = (mean(&found) / mean(&exact) - 1.0, mean(&errors) / mean(&exact));
+            assert!(bias.abs() < 0.06 && error < 0.12, "{name} {color}: {bias} {error}");
+        }
+        assert!(mean(&channel(&all, color)) > 1.5 * mean(&exact), "lights are seen too");
+    }
+    let bake = ["render", text(&scene), "--bake", text(&archive), "--size", "8x8", "-o", text(&all)];
+    let small = ["--gi", "points:50", "--lights", text(&lights), "--max-memory", "1KiB"];
+    let (_, stderr) = expect_exit(4, &[&bake[..], &small].concat());
+    assert!(stderr.contains("budget"), "{stderr}");
+}
+
+#[test]
+fn light_over_points_is_refused_where_it_makes_no_sense() {
+    let folder = tempfile::tempdir().unwrap();
+    let [png, bits, scene, archive] =
+        ["p.png", "b.npy", "s.glb", "a.mvb"].map(|name| folder.path().join(name));
+    write_room(&scene);
+    expect_exit(0, &["bake", text(&scene), "-o", text(&archive), "--levels", "4", "--rows", "0"]);
+    let room = ["render", text(&scene), "--bake", text(&archive), "--size", "8x8", "-o", text(&png)];
+    for (arguments, part) in [
+        (vec!["--gi", "points:0"], "1 to 1000000 views"),
+        (vec!["--gi", "points:1000001"], "1 to 1000000 views"),
+        (vec!["--gi", "lines"], "points:VIEWS"),
+        (vec!["--gi", "points", "--lights", "vpl:9"], "not vpl:N"),
+        (vec!["--gi", "points", "--lights", "random:200000"], "at most 100000"),
+        (vec!["--gi", "points", "--resolution", "12"], "use 8, 16"),
+        (vec!["--gi", "points", "--indirect-only", "--light-bits", text(&bits)], "--light-bits"),
+    ] {
+        let (_, stderr) = expect_exit(2, &[&room[..], &arguments].concat());
+        assert!(stderr.contains(part), "{arguments:?}: {stderr}");
+    }
+    assert!(!png.exists() && !bits.exists());
+}

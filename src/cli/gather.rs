@@ -29,7 +29,7 @@ const HALF_DEPTHS_SHARE: u64 = 4;
 /// Options of `render` about maps and about lights that are gathered.
 #[derive(Debug, clap::Args)]
 pub(super) struct Arguments {
-    /// Texels a side of each half of a light's map, for methods that draw maps
+    /// Texels a side of each half of a light's map, for methods that draw maps, and of --gi's views
     #[arg(long, value_name = "R", default_value_t = 16)]
     resolution: u32,
     /// Memory for maps, such as 4GiB; what does not fit is drawn in passes
@@ -52,7 +52,7 @@ pub(super) struct Arguments {
     /// Leave the noise in
     #[arg(long)]
     no_filter: bool,
-    /// With vpl:N: only the light that comes over surfaces
+    /// With vpl:N or --gi: only the light that comes over surfaces
     #[arg(long)]
     pub(super) indirect_only: bool,
     /// With vpl:N: the lights that virtual ones come from, as --lights takes them
@@ -250,7 +250,7 @@ fn target_lift(method: Method, ingredients: &Ingredients<'_>) -> Result<f32, Cli
     })
 }
 
-fn view_error(error: ViewError) -> CliError {
+pub(super) fn view_error(error: ViewError) -> CliError {
     let exit = match error {
         ViewError::Cancelled => Exit::Cancelled,
         ViewError::Budget { .. } => Exit::OverBudget,

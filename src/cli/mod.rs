@@ -9,6 +9,7 @@ mod compare;
 mod diff;
 mod error;
 mod gather;
+mod gi;
 mod inspect;
 mod output;
 mod overwrite;

@@ -33,6 +33,7 @@ use super::Format;
 use super::cancel;
 use super::error::{CliError, CliResult, Exit};
 use super::gather;
+use super::gi;
 use super::output::{bytes, count, counted, print, print_json};
 use super::overwrite::check_outputs;
 use super::progress::Progress;
@@ -53,6 +54,10 @@ pub(crate) struct Options {
     /// [default: the glTF's lights, or random:256 where it has none]
     #[arg(long, value_name = "LIGHTS", value_parser = LightSource::from_str)]
     lights: Option<LightSource>,
+    /// Add the light that comes over one surface: `points:VIEWS` lights the bake's octree and draws what VIEWS well-spread pixels
+    /// see of it (`points`: 4096), the others take the mean of those near; `raycast:VIEWS` is the same by exact casts
+    #[arg(long, value_name = "points[:VIEWS]", value_parser = gi::Points::from_str)]
+    gi: Option<gi::Points>,
     /// How it is found which lights a surface sees
     #[arg(long, value_name = "METHOD", default_value = "raytrace", value_parser = Method::from_str)]
     visibility: Method,
@@ -154,16 +159,17 @@ pub(crate) fn run(options: &Options) -> CliResult {
 
 fn draw(options: &Options, formats: &[PictureFormat], progress: &Progress) -> CliResult {
     let clock = Instant::now();
+    let vpls = vpl_options(options);
+    check_gi(options, vpls.is_some())?;
+    let maps = options.gather.maps()?;
     let scene = load(options)?;
     let archive = archive_of(options, &scene)?;
     cancel::check()?;
     let exact = ExactRays::new(scene.reference());
     cancel::check()?;
-    let maps = options.gather.maps()?;
     let camera = camera_of(options, &scene)?;
     cancel::check()?;
     let mut lights = lights_of(options, &scene, &exact)?;
-    let vpls = vpl_options(options);
     if vpls.is_some() && Primaries::new(&scene, exact.reference(), &lights).are_dark() {
         tell(
             options.format,
@@ -195,6 +201,8 @@ fn draw(options: &Options, formats: &[PictureFormat], progress: &Progress) -> Cl
         }
         None => (None, 0.0),
     };
+    check_gi(options, small_lights.is_some())?;
+    let only_indirect = options.gi.is_some() && options.gather.indirect_only;
     if small_lights.is_some() && options.light_bits.is_some() {
         let message =
             "--light-bits says which of all lights a pixel sees; here each is lit by a choice of lights";
@@ -222,14 +230,16 @@ fn draw(options: &Options, formats: &[PictureFormat], progress: &Progress) -> Cl
     let surface_count = gbuffer.surface_count();
     let mut lighting = Lighting::new(&lights, &scene);
     let direct_lights: &[PunctualLight] = match (&small_lights, &vpls) {
+        (None, _) if only_indirect => &[],
         (None, _) => &lights,
         (Some(_), Some(_)) if !options.gather.indirect_only => &lights,
         (Some(_), _) => &[],
     };
-    let mut image = match (&small_lights, direct_lights.is_empty()) {
-        (Some(_), true) => LitImage::dark(&gbuffer, !options.gather.indirect_only),
-        (small, _) => {
-            if small.is_some() {
+    let is_gathered = small_lights.is_some() || options.gi.is_some();
+    let mut image = match direct_lights.is_empty() {
+        true if is_gathered => LitImage::dark(&gbuffer, !options.gather.indirect_only),
+        _ => {
+            if is_gathered {
                 lighting = lighting.without_ambient();
             }
             light(&lighting, &scene, &gbuffer, direct_lights, &*method, bits.as_mut(), progress)?
@@ -255,6 +265,14 @@ fn draw(options: &Options, formats: &[PictureFormat], progress: &Progress) -> Cl
         }
         pairs += light.tests;
         gathered = light.report;
+    }
+    let mut over_points = Value::Null;
+    if let Some(points) = options.gi {
+        let spread = camera.ray_maker(width, height)?.pixel_spread();
+        let (light, report) =
+            gi::light_over_points(points, &ingredients, &gbuffer, spread, &lights, &*method, progress)?;
+        image.add(&gbuffer, &light);
+        over_points = report;
     }
     let done = clock.elapsed().as_secs_f64() - path_seconds;
     let exposure_stops = image.stops(options.exposure);
@@ -287,6 +305,7 @@ fn draw(options: &Options, formats: &[PictureFormat], progress: &Progress) -> Cl
             "primary_lights": vpls.is_some().then_some(lights.len()),
             "segments": pairs,
             "gathered": gathered,
+            "gi": over_points,
             "mean_shadow": mean_shadow,
             "exposure_stops": exposure_stops,
             "surfaces_on": gpu.as_ref().map_or("cpu", |gpu| gpu.name()),
@@ -345,6 +364,25 @@ fn spare_inputs(options: &Options) -> Result<(), CliError> {
 fn vpl_options(options: &Options) -> Option<VplOptions> {
     let Some(LightSource::Virtual { count, bounces, seed }) = options.lights else { return None };
     Some(VplOptions { count, bounces, seed, indirect_only: options.gather.indirect_only })
+}
+
+/// What `--gi` does not go with: lights that each pixel takes a choice of, and bits that nobody asks for.
+fn check_gi(options: &Options, is_gathered: bool) -> Result<(), CliError> {
+    if options.gi.is_none() {
+        return Ok(());
+    }
+    if is_gathered {
+        return Err(CliError::usage(format!(
+            "--gi lights surfaces by every light: name at most {MAX_LIGHTS} with --lights, and not vpl:N, which is another way \
+             to the same light"
+        )));
+    }
+    if options.gather.indirect_only && options.light_bits.is_some() {
+        let message =
+            "--light-bits says which lights a pixel sees; with --indirect-only no pixel asks: leave one out";
+        return Err(CliError::usage(message));
+    }
+    Ok(())
 }
 
 fn announce(options: &Options, lights: usize, is_gathered: bool) {
@@ -412,14 +450,16 @@ fn light(
         }
         None => render_with(lighting, scene, gbuffer, lights, method, None, progress),
     };
-    result.map_err(|error| {
-        let exit = match &error {
-            RenderError::Visibility(_) => Exit::Internal,
-            RenderError::Bits(_) => Exit::BadInput,
-            RenderError::Cancelled => Exit::Cancelled,
-        };
-        CliError::new(exit, error)
-    })
+    result.map_err(render_error)
+}
+
+pub(super) fn render_error(error: RenderError) -> CliError {
+    let exit = match &error {
+        RenderError::Visibility(_) => Exit::Internal,
+        RenderError::Bits(_) => Exit::BadInput,
+        RenderError::Cancelled => Exit::Cancelled,
+    };
+    CliError::new(exit, error)
 }
 
 /// The file of light bits while it is written.

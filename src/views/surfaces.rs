@@ -50,6 +50,16 @@ impl OctreeSurfaces {
     pub fn voxel(&self) -> f64 {
         self.octree.voxel()
     }
+
+    /// Distance, metres, and number in Morton order of the leaf that a view sees.
+    pub(crate) fn leaf(&self, origin: [f64; 3], direction: [f64; 3]) -> Option<(f64, u32)> {
+        let mut ray = Ray::new(origin, direction);
+        if self.octree.contains(origin) {
+            ray.t_min = self.octree.leaves_cell_at(&ray)?;
+        }
+        let hit = self.octree.intersect(&ray, self.octree.depth())?;
+        Some((hit.t, hit.node))
+    }
 }
 
 impl Surfaces for OctreeSurfaces {
@@ -62,13 +72,9 @@ impl Surfaces for OctreeSurfaces {
     }
 
     fn cast(&self, origin: [f64; 3], direction: [f64; 3]) -> Option<Seen> {
-        let mut ray = Ray::new(origin, direction);
-        if self.octree.contains(origin) {
-            ray.t_min = self.octree.leaves_cell_at(&ray)?;
-        }
-        let hit = self.octree.intersect(&ray, self.octree.depth())?;
-        let [r, g, b] = self.colors.get(hit.node as usize).copied().unwrap_or_default();
-        Some(Seen { distance: hit.t, color: [r, g, b, 0] })
+        let (distance, leaf) = self.leaf(origin, direction)?;
+        let [r, g, b] = self.colors.get(leaf as usize).copied().unwrap_or_default();
+        Some(Seen { distance, color: [r, g, b, 0] })
     }
 }
 

@@ -74,9 +74,9 @@ pub(super) fn tell(format: Format, kind: &str, message: &str) {
     }
 }
 
-/// The archive that the method reads, if it reads any.
+/// The archive that the method or `--gi` reads, if they read any.
 pub(super) fn archive_of(options: &Options, scene: &RenderScene) -> Result<Option<Archive>, CliError> {
-    let wanted = options.visibility.needs_archive();
+    let wanted = options.visibility.needs_archive() || options.gi.is_some();
     if let Some(path) = &options.bake {
         let archive = Archive::open(path)?;
         check_belongs(&archive, scene, &options.scene)?;
