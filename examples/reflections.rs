@@ -201,10 +201,12 @@ fn camera() -> Camera {
 }
 
 /// Linear colours of a picture, and seconds that they took.
+type Drawn = (Vec<[f32; 3]>, f64);
+
 fn draw(
     mirrors: &Mirrors,
     see: impl Fn(Option<usize>, Vec3, Vec3) -> Option<Reflected> + Sync,
-) -> Result<(Vec<[f32; 3]>, f64), Box<dyn Error>> {
+) -> Result<Drawn, Box<dyn Error>> {
     let clock = Instant::now();
     let rays = camera().ray_maker(SIZE[0], SIZE[1])?;
     let pixel = |index: u32| {

@@ -13,6 +13,7 @@ use crate::visibility::Visibility;
 use glam::{DMat4, DVec3};
 use manyview_pipeline::bake::{BakeOptions, Silent, bake_in_memory};
 use manyview_pipeline::scene::{Instance, Material, Mesh, PunctualLight, Scene};
+use manyview_shaders::trig::sin_cos;
 use manyview_shaders::{octahedral, rgb9e5};
 use std::convert::Infallible;
 
@@ -192,7 +193,8 @@ fn by_rays(scene: &RenderScene, exact: &ExactRays<'_>, at: &PointReceiver, rays:
     let mut sum = Vec3::ZERO;
     for _ in 0..rays {
         let (square, turn) = (random.unit(), random.unit() * std::f64::consts::TAU);
-        let across = x * turn.cos() + y * turn.sin();
+        let (sine, cosine) = sin_cos(turn);
+        let across = x * cosine + y * sine;
         let direction: DVec3 = across * square.sqrt() + at.normal.as_dvec3() * (1.0 - square).sqrt();
         let Some(hit) = exact.reference().intersect(origin, direction, f64::INFINITY) else { continue };
         let pixel = looks.pixel(&hit, origin, direction);

@@ -52,7 +52,7 @@ impl Places {
             for &pixel in &order {
                 let at = &gbuffer.pixels[pixel as usize];
                 let is_near = |&other: &u32| places.far(gbuffer, pixel, other, at, distance) < 1.0;
-                if is_chosen[pixel as usize] || buckets.around(pixel, 1).any(|other| is_near(other)) {
+                if is_chosen[pixel as usize] || buckets.around(pixel, 1).any(is_near) {
                     continue;
                 }
                 if places.pixels.len() == count {
