@@ -1,8 +1,9 @@
-//! Bytes at rest: the archive container, digests and atomic files. Knows nothing of voxels.
+//! Bytes at rest: the archive container, digests, atomic files, and the store. Knows nothing of voxels.
 //!
 //! - [`archive`]: the container `.mvb`, described below.
 //! - [`atomic`]: output files that are either complete or absent.
 //! - [`digest`]: BLAKE3 digests, and the stable encoding of keys.
+//! - [`store`]: results of steps under the digests of what they were made from.
 //!
 //! ```
 //! use manyview_cache::archive::{Archive, ArchiveWriter};
@@ -95,3 +96,4 @@
 pub mod archive;
 pub mod atomic;
 pub mod digest;
+pub mod store;
