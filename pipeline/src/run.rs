@@ -1,14 +1,19 @@
 //! One bake from a scene file to an archive file: what the command line and build scripts call.
 
-use crate::bake::{BakeError, BakeOptions, BakeReport, Progress, Silent, bake};
+use crate::bake::{BakeError, BakeOptions, BakeReport, Progress, Silent, bake_with};
 use crate::estimate::Estimate;
 use crate::generate::generate;
-use crate::import::{ImportError, ImportOptions, import};
+use crate::import::{ImportError, ImportOptions, SourceFile, import};
 use crate::recipe::SceneSource;
+use crate::record::{Record, record_key};
 use crate::scene::Scene;
+use crate::steps::{StepCounts, StepKind, Steps};
 use manyview_cache::archive::{ArchiveError, ArchiveStats, ArchiveWriter};
+use manyview_cache::digest::Digest;
+use manyview_cache::store::Store;
 use manyview_shaders::device::VoxelDevice;
 use std::path::{Path, PathBuf};
+use std::sync::Arc;
 use thiserror::Error;
 
 /// A bake to run.
@@ -18,7 +23,7 @@ use thiserror::Error;
 /// println!("{} leaves", summary.report.leaves);
 /// # Ok::<(), manyview_pipeline::run::RunError>(())
 /// ```
-#[derive(Debug, Clone)]
+#[derive(Clone)]
 pub struct Bake {
     /// The scene.
     pub source: SceneSource,
@@ -30,6 +35,8 @@ pub struct Bake {
     pub import: ImportOptions,
     /// Threads, or `None` for one per processor.
     pub jobs: Option<usize>,
+    /// Where results of steps are kept, if anywhere.
+    pub store: Option<Arc<Store>>,
 }
 
 /// Why a bake gave no archive.
@@ -78,6 +85,10 @@ pub struct Summary {
     pub warnings: Vec<String>,
     /// Seconds for the import.
     pub import_seconds: f64,
+    /// Steps that were reused and made.
+    pub steps: StepCounts,
+    /// The archive was there already, and is what a bake would make: nothing was done.
+    pub is_up_to_date: bool,
 }
 
 impl Bake {
@@ -91,13 +102,20 @@ impl Bake {
     /// A bake of any source with the default settings.
     pub fn from_source(source: SceneSource, output: PathBuf) -> Self {
         let (options, import) = (BakeOptions::default(), ImportOptions::default());
-        Self { source, output, options, import, jobs: None }
+        Self { source, output, options, import, jobs: None, store: None }
     }
 
     /// Sets the archive's path.
     #[must_use]
     pub fn output(mut self, path: impl Into<PathBuf>) -> Self {
         self.output = path.into();
+        self
+    }
+
+    /// Keeps results of steps in `store` and takes them from there.
+    #[must_use]
+    pub fn store(mut self, store: Arc<Store>) -> Self {
+        self.store = Some(store);
         self
     }
 
@@ -117,17 +135,90 @@ impl Bake {
             if let SceneSource::File(scene) = &self.source {
                 self.spare(scene)?;
             }
+            let steps = Steps::new(self.store.clone());
+            if let Some(summary) = self.find_archive(&steps) {
+                return Ok(summary);
+            }
             // Before the long work: an output that cannot be written is known at once.
             let mut writer = ArchiveWriter::create(&self.output)?;
             let clock = std::time::Instant::now();
-            let (scene, files) = self.load()?;
+            let (scene, sources) = self.load()?;
+            let files = self.paths(sources.iter().map(|file| file.path.as_str()));
             files.iter().try_for_each(|file| self.spare(file))?;
             let import_seconds = clock.elapsed().as_secs_f64();
-            let report =
-                bake(&scene, &self.options, device, &mut writer, progress).map_err(|e| self.failed(e))?;
+            steps.count(StepKind::Import, 0, 1, 0);
+            let report = bake_with(&scene, &self.options, device, &steps, &mut writer, progress)
+                .map_err(|e| self.failed(e))?;
             let archive = writer.finish()?;
-            Ok(Summary { report, archive, files, warnings: scene.warnings, import_seconds })
+            steps.count(StepKind::Archive, 0, 1, 0);
+            let counts = steps.counts();
+            if steps.has_store() {
+                let total = counts.total();
+                let all = total.reused + total.rebuilt;
+                let record = Record::new(&sources, &report, &archive, &scene.warnings, all);
+                record.keep(&steps, self.record_key(sources.first()));
+            }
+            steps.flush();
+            let warnings = scene.warnings;
+            Ok(Summary { report, archive, files, warnings, import_seconds, steps: counts, is_up_to_date: false })
         })
+    }
+
+    /// What there is to say if nothing has changed since the archive was baked: then [`run`](Self::run) would do
+    /// nothing. Reads the scene's files, to hash them, and the archive's index.
+    pub fn up_to_date(&self) -> Result<Option<Summary>, RunError> {
+        self.options.check().map_err(|e| self.failed(e))?;
+        if let SceneSource::File(scene) = &self.source {
+            self.spare(scene)?;
+        }
+        Ok(self.find_archive(&Steps::new(self.store.clone())))
+    }
+
+    fn find_archive(&self, steps: &Steps) -> Option<Summary> {
+        steps.store()?;
+        let hash = match &self.source {
+            SceneSource::File(path) => {
+                let file = fs_err::File::open(path).ok()?;
+                let mut hasher = blake3::Hasher::new();
+                hasher.update_reader(file).ok()?;
+                Some(hasher.finalize())
+            }
+            SceneSource::Generated { .. } => None,
+        };
+        let scene_file = hash.map(|hash| SourceFile { path: String::new(), hash: Some(hash) });
+        let record = Record::find(steps, &self.record_key(scene_file.as_ref()))?;
+        if !record.has_same_files(&self.folder()) || !record.is_archive_at(&self.output) {
+            return None;
+        }
+        steps.count(StepKind::Archive, record.steps as usize, 0, 0);
+        Some(Summary {
+            report: record.report(),
+            archive: record.archive()?,
+            files: self.paths(record.files()),
+            warnings: record.warnings.clone(),
+            import_seconds: 0.0,
+            steps: steps.counts(),
+            is_up_to_date: true,
+        })
+    }
+
+    fn record_key(&self, scene: Option<&SourceFile>) -> Digest {
+        let hash = scene.and_then(|file| file.hash).map(|hash| Digest(*hash.as_bytes()));
+        record_key(&self.source, hash.as_ref(), &self.import, &self.options)
+    }
+
+    /// The folder that paths of the scene's files start at.
+    fn folder(&self) -> PathBuf {
+        match &self.source {
+            SceneSource::File(path) => path.parent().unwrap_or(Path::new("")).to_owned(),
+            SceneSource::Generated { .. } => PathBuf::new(),
+        }
+    }
+
+    /// Files of the scene as paths from the current folder.
+    fn paths<'p>(&self, files: impl Iterator<Item = &'p str>) -> Vec<PathBuf> {
+        let folder = self.folder();
+        files.map(|file| folder.join(file)).collect()
     }
 
     /// Imports the scene and tells what the bake would cost, without baking.
@@ -140,13 +231,12 @@ impl Bake {
         })
     }
 
-    /// The scene, and the files that it came from as paths from the current folder.
-    fn load(&self) -> Result<(Scene, Vec<PathBuf>), RunError> {
+    /// The scene, and the files that it came from as paths from its folder.
+    fn load(&self) -> Result<(Scene, Vec<SourceFile>), RunError> {
         match &self.source {
             SceneSource::File(path) => {
                 let imported = import(path, &self.import)?;
-                let folder = path.parent().unwrap_or(Path::new(""));
-                Ok((imported.scene, imported.files.iter().map(|f| folder.join(&f.path)).collect()))
+                Ok((imported.scene, imported.files))
             }
             SceneSource::Generated { kind, triangles, seed } => {
                 Ok((generate(*kind, *triangles, *seed), Vec::new()))

@@ -12,12 +12,14 @@ use manyview_pipeline::import::ImportError;
 use manyview_pipeline::recipe::{Recipe, SceneSource, parse_fit, parse_rows_from, parse_rows_size};
 use manyview_pipeline::rows::RowsOptions;
 use manyview_pipeline::run::{Bake, RunError, Summary};
+use manyview_pipeline::steps::{StepCount, StepCounts, StepKind};
 use manyview_shaders::cpu_device::CpuDevice;
 use manyview_shaders::device::VoxelDevice;
 use manyview_shaders::directions::{DirectionSet, Fit};
 use serde_json::json;
 
 use super::Format;
+use super::cache::CacheOptions;
 use super::cancel;
 use super::error::{CliError, CliResult, Exit};
 use super::output::{bytes, count, print, print_json};
@@ -71,6 +73,8 @@ pub(crate) struct Options {
     /// Let the scene's URIs leave its folder
     #[arg(long)]
     allow_outside: bool,
+    #[command(flatten)]
+    cache: CacheOptions,
     /// Only say what the bake would cost
     #[arg(long)]
     dry_run: bool,
@@ -174,12 +178,26 @@ pub(crate) fn run(options: &Options) -> CliResult {
     if options.tells_events() {
         cancel::tell_events();
     }
-    let device = open_device(options.backend, options.voxels_from)?;
-    let device = device.as_deref();
-    let progress = Progress::new(options.format, cancel::watch());
     let clock = std::time::Instant::now();
-    let result = bake.run_on(device, &progress);
+    let store = options.cache.open(|warning| warn(options.format, &[warning]))?;
+    let mut bake = bake;
+    bake.store.clone_from(&store);
+    let progress = Progress::new(options.format, cancel::watch());
+    // Opening a GPU takes longer than to see that there is nothing to do.
+    let (result, backend) = match bake.up_to_date() {
+        Ok(Some(summary)) => (Ok(summary), "nothing".to_owned()),
+        Ok(None) => {
+            let device = open_device(options.backend, options.voxels_from)?;
+            let device = device.as_deref();
+            let backend = device.map_or_else(|| "cpu".to_owned(), VoxelDevice::name);
+            (bake.run_on(device, &progress), backend)
+        }
+        Err(error) => (Err(error), String::new()),
+    };
     progress.finish();
+    if let Some(store) = &store {
+        warn(options.format, &store.take_warnings());
+    }
     let summary = result?;
     warn(options.format, &summary.warnings);
     if let Some(path) = &options.depfile {
@@ -188,7 +206,6 @@ pub(crate) fn run(options: &Options) -> CliResult {
     if let Some(picture) = options.preview.as_ref().or(recipe.preview.as_ref()) {
         super::preview::draw_default(&bake.output, picture, recipe.camera.as_deref())?;
     }
-    let backend = device.map_or_else(|| "cpu".to_owned(), VoxelDevice::name);
     report(options.format, &bake, &summary, &backend, clock.elapsed().as_secs_f64())?;
     Ok(Exit::Done)
 }
@@ -322,9 +339,11 @@ fn report(
     backend: &str,
     seconds: f64,
 ) -> Result<(), CliError> {
-    let Summary { report, archive, .. } = summary;
+    let Summary { report, archive, steps, .. } = summary;
     match format {
         Format::Json => print_json(&json!({
+            "up_to_date": summary.is_up_to_date,
+            "steps": steps_json(steps),
             "output": bake.output.display().to_string(),
             "backend": backend,
             "triangles": report.triangles,
@@ -342,11 +361,17 @@ fn report(
             },
             "peak_memory_bytes": peak_memory_bytes(),
         })),
+        Format::Text if summary.is_up_to_date => print(&format!(
+            "{}: up to date, {} leaves, {}, seen in {seconds:.3} s\nsteps: {steps}\n",
+            bake.output.display(),
+            count(report.leaves),
+            bytes(archive.file_bytes),
+        )),
         Format::Text => {
             let peak =
                 peak_memory_bytes().map_or(String::new(), |peak| format!(", peak memory {}", bytes(peak)));
             print(&format!(
-                "{}: {} triangles, {} leaves, {} in {seconds:.1} s on {backend}{peak}\n",
+                "{}: {} triangles, {} leaves, {} in {seconds:.1} s on {backend}{peak}\nsteps: {steps}\n",
                 bake.output.display(),
                 count(report.triangles),
                 count(report.leaves),
@@ -354,6 +379,21 @@ fn report(
             ))
         }
     }
+}
+
+/// Counts of steps as JSON.
+pub(crate) fn steps_json(steps: &StepCounts) -> serde_json::Value {
+    let total = steps.total();
+    let kinds: serde_json::Map<String, serde_json::Value> = StepKind::ALL
+        .iter()
+        .map(|kind| (kind.name().to_owned(), steps.of(*kind)))
+        .filter(|(_, count)| *count != StepCount::default())
+        .map(|(name, count)| {
+            let StepCount { reused, rebuilt, patched } = count;
+            (name, json!({ "reused": reused, "rebuilt": rebuilt, "patched": patched }))
+        })
+        .collect();
+    json!({ "reused": total.reused, "rebuilt": total.rebuilt, "failed": 0, "kinds": kinds })
 }
 
 /// The most memory this process has had, where the system tells.

@@ -98,6 +98,48 @@ impl CompressedChunk {
         raw.par_chunks(MAX_CHUNK_BYTES).map(|raw| Self::compress(raw, level)).collect()
     }
 
+    /// The content.
+    pub fn content(&self) -> Result<Vec<u8>, ArchiveError> {
+        let mut raw = vec![0; self.raw_bytes as usize];
+        self.content_into_zeros(&mut raw)?;
+        Ok(raw)
+    }
+
+    /// Writes the content to `raw`, which is all zero and as large as the content.
+    pub fn content_into_zeros(&self, raw: &mut [u8]) -> Result<(), ArchiveError> {
+        decode_chunk_into_zeros(&self.record_at(0), &self.stored, raw)
+    }
+
+    /// Appends the chunk to what will be a value of a [store](crate::store): raw size, stored size, codec (4 bytes
+    /// each), both digests, the stored bytes.
+    pub fn save(&self, value: &mut Vec<u8>) {
+        value.extend(self.raw_bytes.to_le_bytes());
+        value.extend((self.stored.len() as u32).to_le_bytes());
+        value.extend((self.codec as u32).to_le_bytes());
+        value.extend(self.raw_digest.0);
+        value.extend(self.stored_digest.0);
+        value.extend(&self.stored);
+    }
+
+    /// Takes a chunk that [`save`](Self::save) wrote from the front of a checked `value`; `None` if there is none.
+    pub fn load(value: &mut &[u8]) -> Option<Self> {
+        let (head, rest) = value.split_at_checked(12 + 64)?;
+        let number = |at: usize| Some(u32::from_le_bytes(head.get(at..at + 4)?.try_into().ok()?));
+        let (stored, rest) = rest.split_at_checked(number(4)? as usize)?;
+        let raw_bytes = number(0)?;
+        if raw_bytes == 0 || raw_bytes as usize > MAX_CHUNK_BYTES {
+            return None;
+        }
+        *value = rest;
+        Some(Self {
+            stored: stored.into(),
+            raw_bytes,
+            codec: Codec::from_stored(u8::try_from(number(8)?).ok()?).ok()?,
+            raw_digest: Digest(head[12..44].try_into().ok()?),
+            stored_digest: Digest(head[44..].try_into().ok()?),
+        })
+    }
+
     /// The bytes to store.
     pub fn stored(&self) -> &[u8] {
         &self.stored

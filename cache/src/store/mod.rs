@@ -47,7 +47,7 @@ mod lease;
 mod tests;
 
 pub use housekeeping::{BucketStat, GcReport, StoreStat, VerifyReport};
-pub use lease::Claim;
+pub use lease::{Claim, ClaimGuard};
 
 use std::fmt;
 use std::io::{self, Write};
