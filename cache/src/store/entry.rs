@@ -58,7 +58,7 @@ pub(super) fn check(bytes: &[u8], key: &Digest) -> Result<(), String> {
 
 /// The content of the entry at `path`, noted as used; `None` if it is not there, `Err` with what is wrong with it.
 pub(super) fn read(path: &Path, key: &Digest) -> Result<Option<Vec<u8>>, String> {
-    let mut file = match std::fs::File::open(path) {
+    let mut file = match fs_err::File::open(path) {
         Ok(file) => file,
         Err(error) if error.kind() == ErrorKind::NotFound => return Ok(None),
         Err(error) => return Err(error.to_string()),
@@ -68,7 +68,7 @@ pub(super) fn read(path: &Path, key: &Digest) -> Result<Option<Vec<u8>>, String>
     bytes.try_reserve_exact(size as usize).map_err(|_| format!("{size} bytes are too many"))?;
     file.read_to_end(&mut bytes).map_err(|error| error.to_string())?;
     check(&bytes, key)?;
-    super::touch(&file);
+    super::touch(file.file());
     bytes.drain(..HEADER_BYTES);
     Ok(Some(bytes))
 }

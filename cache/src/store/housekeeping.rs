@@ -112,10 +112,10 @@ impl Store {
                 break;
             }
             // Asked again: a process may have begun to use it since the list was made.
-            let used = std::fs::metadata(&entry.path).and_then(|m| m.modified()).unwrap_or(entry.used);
+            let used = fs_err::metadata(&entry.path).and_then(|m| m.modified()).unwrap_or(entry.used);
             if in_use_since.is_some_and(|since| used >= since) {
                 report.in_use_bytes += entry.bytes;
-            } else if std::fs::remove_file(&entry.path).is_ok() {
+            } else if fs_err::remove_file(&entry.path).is_ok() {
                 report.removed += 1;
                 report.removed_bytes += entry.bytes;
                 report.kept_bytes -= entry.bytes;
@@ -133,7 +133,7 @@ impl Store {
             .filter_map(|entry| {
                 let name = entry.path.file_name().and_then(|name| name.to_str()).unwrap_or_default();
                 let result = match name.parse::<Digest>() {
-                    Ok(key) => match std::fs::read(&entry.path) {
+                    Ok(key) => match fs_err::read(&entry.path) {
                         Ok(bytes) => entry::check(&bytes, &key),
                         // Removed meanwhile.
                         Err(error) if error.kind() == std::io::ErrorKind::NotFound => Ok(()),
@@ -145,7 +145,7 @@ impl Store {
             })
             .collect();
         for (path, _) in &broken {
-            _ = std::fs::remove_file(path);
+            _ = fs_err::remove_file(path);
         }
         VerifyReport {
             entries: found.len() as u64,
@@ -163,7 +163,7 @@ impl Store {
                 continue;
             }
             for shard in folders_in(&bucket) {
-                let files = std::fs::read_dir(&shard).into_iter().flatten().flatten();
+                let files = fs_err::read_dir(&shard).into_iter().flatten().flatten();
                 found.extend(files.filter_map(|file| {
                     let metadata = file.metadata().ok().filter(std::fs::Metadata::is_file)?;
                     let used = metadata.modified().unwrap_or(SystemTime::UNIX_EPOCH);
@@ -188,6 +188,6 @@ fn name_of(path: &Path) -> String {
 }
 
 fn folders_in(folder: &Path) -> Vec<PathBuf> {
-    let entries = std::fs::read_dir(folder).into_iter().flatten().flatten();
+    let entries = fs_err::read_dir(folder).into_iter().flatten().flatten();
     entries.map(|entry| entry.path()).filter(|path| path.is_dir()).collect()
 }

@@ -1,10 +1,12 @@
 //! Who is there: locks on files that the system takes back when a process ends, however it ends.
 
-use std::fs::{File, TryLockError};
+use std::fs::TryLockError;
 use std::io;
 use std::path::{Path, PathBuf};
 use std::sync::atomic::{AtomicU64, Ordering};
 use std::time::SystemTime;
+
+use fs_err::{File, OpenOptions};
 
 /// A process that uses a store: a locked file in `leases`.
 pub(super) struct Lease {
@@ -20,7 +22,7 @@ impl Lease {
         loop {
             let name = format!("{}-{}", std::process::id(), NEXT.fetch_add(1, Ordering::Relaxed));
             let path = root.join("leases").join(&name);
-            let file = match File::options().write(true).create_new(true).open(&path) {
+            let file = match OpenOptions::new().write(true).create_new(true).open(&path) {
                 // Of a process with our number, on another machine or long gone.
                 Err(error) if error.kind() == io::ErrorKind::AlreadyExists => continue,
                 other => other?,
@@ -40,13 +42,13 @@ impl Lease {
 
 impl Drop for Lease {
     fn drop(&mut self) {
-        _ = std::fs::remove_file(&self.path);
+        _ = fs_err::remove_file(&self.path);
     }
 }
 
 /// Locks a file that nobody else knows of yet. Where there are no locks, nobody can tell that it is stale either.
 fn lock(file: &File) {
-    while file.lock().is_err_and(|error| error.kind() == io::ErrorKind::Interrupted) {}
+    while file.file().lock().is_err_and(|error| error.kind() == io::ErrorKind::Interrupted) {}
 }
 
 /// Removes the leases and unfinished entries of processes that are gone. Housekeeping: what fails is left for later.
@@ -55,12 +57,12 @@ pub(super) fn remove_stale(root: &Path) {
     for path in files_in(&root.join("leases")) {
         if let Some(_lock) = lock_of_nobody(&path) {
             stale.extend(path.file_name().and_then(|name| name.to_str()).map(str::to_owned));
-            _ = std::fs::remove_file(&path);
+            _ = fs_err::remove_file(&path);
         }
     }
     for path in files_in(&root.join("claims")) {
         if let Some(_lock) = lock_of_nobody(&path) {
-            _ = std::fs::remove_file(&path);
+            _ = fs_err::remove_file(&path);
         }
     }
     if stale.is_empty() {
@@ -69,14 +71,14 @@ pub(super) fn remove_stale(root: &Path) {
     for path in files_in(&root.join("tmp")) {
         let name = path.file_name().and_then(|name| name.to_str()).unwrap_or_default();
         if name.rsplit_once('-').is_some_and(|(owner, _)| stale.iter().any(|lease| lease == owner)) {
-            _ = std::fs::remove_file(&path);
+            _ = fs_err::remove_file(&path);
         }
     }
 }
 
 /// When the longest-living other process took its lease, if there is one.
 pub(super) fn oldest_other(root: &Path, own: &Lease) -> Option<SystemTime> {
-    let taken = |path: PathBuf| std::fs::metadata(path).and_then(|metadata| metadata.modified()).ok();
+    let taken = |path: PathBuf| fs_err::metadata(path).and_then(|metadata| metadata.modified()).ok();
     others(root, own).filter_map(taken).min()
 }
 
@@ -92,13 +94,13 @@ fn others(root: &Path, own: &Lease) -> impl Iterator<Item = PathBuf> {
 
 /// Locks a file that no process holds; `None` if one does, or if that cannot be told.
 fn lock_of_nobody(path: &Path) -> Option<File> {
-    let file = File::options().write(true).open(path).ok()?;
-    file.try_lock().ok()?;
+    let file = OpenOptions::new().write(true).open(path).ok()?;
+    file.file().try_lock().ok()?;
     Some(file)
 }
 
 fn files_in(folder: &Path) -> Vec<PathBuf> {
-    let entries = std::fs::read_dir(folder).into_iter().flatten().flatten();
+    let entries = fs_err::read_dir(folder).into_iter().flatten().flatten();
     let mut files: Vec<_> = entries.map(|entry| entry.path()).collect();
     files.sort();
     files
@@ -123,10 +125,10 @@ pub struct ClaimGuard {
 impl Claim {
     pub(super) fn take(path: &Path) -> Self {
         loop {
-            let Ok(file) = File::options().write(true).create(true).truncate(false).open(path) else {
+            let Ok(file) = OpenOptions::new().write(true).create(true).truncate(false).open(path) else {
                 return Self::Unknown;
             };
-            match file.try_lock() {
+            match file.file().try_lock() {
                 Ok(()) if is_at(&file, path) => {
                     return Self::Mine(ClaimGuard { path: path.to_owned(), _file: file });
                 }
@@ -142,7 +144,7 @@ impl Claim {
 impl Drop for ClaimGuard {
     fn drop(&mut self) {
         // First the name, then the lock, which goes with the handle.
-        _ = std::fs::remove_file(&self.path);
+        _ = fs_err::remove_file(&self.path);
     }
 }
 
@@ -151,7 +153,7 @@ impl Drop for ClaimGuard {
 fn is_at(file: &File, path: &Path) -> bool {
     use std::os::unix::fs::MetadataExt;
     let same = |a: &std::fs::Metadata, b: &std::fs::Metadata| (a.dev(), a.ino()) == (b.dev(), b.ino());
-    matches!((file.metadata(), std::fs::metadata(path)), (Ok(a), Ok(b)) if same(&a, &b))
+    matches!((file.file().metadata(), fs_err::metadata(path)), (Ok(a), Ok(b)) if same(&a, &b))
 }
 
 /// Elsewhere open files cannot be removed from under their path.
