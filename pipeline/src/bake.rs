@@ -271,8 +271,21 @@ pub fn bake_with<W: Write + Seek>(
     writer: &mut ArchiveWriter<W>,
     progress: &dyn Progress,
 ) -> Result<BakeReport, BakeError> {
-    let placement = Placement::new(scene, options)?;
-    let Placement { info, cube, .. } = placement;
+    bake_placed(scene, options, &Placement::new(scene, options)?, device, steps, writer, progress)
+}
+
+/// As [`bake_with`], of a scene whose place is known.
+pub(crate) fn bake_placed<W: Write + Seek>(
+    scene: &Scene,
+    options: &BakeOptions,
+    placement: &Placement,
+    device: Option<&dyn VoxelDevice>,
+    steps: &Steps,
+    writer: &mut ArchiveWriter<W>,
+    progress: &dyn Progress,
+) -> Result<BakeReport, BakeError> {
+    let Placement { info, cube, runs } = placement;
+    let cube = *cube;
     let estimate = Estimate::new(scene, options, cube);
     progress.estimate(&estimate);
     if estimate.peak_bytes > options.max_memory_bytes {
@@ -287,13 +300,12 @@ pub fn bake_with<W: Write + Seek>(
     }
     let clock = std::time::Instant::now();
     let mut seconds = [0.0; 3];
-    sections::write_scene(writer, &info, &sections::lights(scene))?;
+    sections::write_scene(writer, info, &sections::lights(scene))?;
     let grid = RegionGrid { cube, grid: Grid::new(options.levels) };
-    let runs = placement.runs;
     seconds[0] += clock.elapsed().as_secs_f64();
 
     let clock = std::time::Instant::now();
-    let octree = OctreeJob { scene, runs: &runs, options, grid, device, steps, progress }.run()?;
+    let octree = OctreeJob { scene, runs, options, grid, device, steps, progress }.run()?;
     sections::write_svo_info(writer, &octree.info)?;
     // Readers want all heads before the long sections, so the octree waits until the rows are planned.
     seconds[1] = clock.elapsed().as_secs_f64();
@@ -302,7 +314,7 @@ pub fn bake_with<W: Write + Seek>(
     let lattice = RowLattice::new(info.bounds_min, info.bounds_max);
     let mut points = 0;
     let rows_job =
-        options.rows.map(|options| RowsJob { scene, runs: &runs, options, lattice, device, steps, progress });
+        options.rows.map(|options| RowsJob { scene, runs, options, lattice, device, steps, progress });
     let rows = match &rows_job {
         Some(job) => {
             if progress.cancelled() {

@@ -72,6 +72,12 @@ impl RegionGrid {
         })
     }
 
+    /// Whether the store says that nothing is in a brick.
+    pub(crate) fn is_empty(self, steps: &Steps, keys: &RegionKeys) -> bool {
+        let counts = |value: &[u8]| Reader(value).u32();
+        steps.find(SHAPES, &keys.shape, counts) == Some(0)
+    }
+
     /// The keys of a brick's two steps.
     pub fn keys(self, runs: &Runs, cell: &Cell) -> RegionKeys {
         let key = |name, version, digest: Digest| {
@@ -248,6 +254,10 @@ impl OctreeJob<'_> {
             keys.par_iter().map(|keys| self.find(keys, emits)).collect();
         let missing: Vec<usize> =
             (0..cells.len()).filter(|&i| found[i].0.is_none() || found[i].1.is_none()).collect();
+        let hits = found.iter().filter(|parts| parts.0.is_some() && parts.1.is_some());
+        let looks = hits.clone().filter(|parts| parts.1.as_ref().is_some_and(|look| !look.counts.is_empty()));
+        self.steps.count(StepKind::Bricks, hits.clone().count(), 0, 0);
+        self.steps.count(StepKind::Attributes, looks.count(), 0, 0);
         if !missing.is_empty() {
             let maker = Maker::new(self, emits, missing.iter().flat_map(|&i| &cells[i].runs));
             self.progress.begin("octree", missing.len() as u64, "bricks");
@@ -393,7 +403,9 @@ impl<'a> Maker<'a> {
     ) {
         let steps = self.job.steps;
         steps.count(StepKind::Bricks, usize::from(has_shape), usize::from(!has_shape), 0);
-        steps.count(StepKind::Attributes, usize::from(has_look), usize::from(!has_look), 0);
+        if !look.counts.is_empty() {
+            steps.count(StepKind::Attributes, usize::from(has_look), usize::from(!has_look), 0);
+        }
         if steps.has_store() && !has_shape {
             steps.keep(SHAPES, keys.shape, shape.save(), claim.clone());
         }

@@ -12,7 +12,7 @@ use crate::points::coarse_boxes;
 use crate::points_step::{PointCell, PointCells, PointsJob, lattice_key, load_points};
 use crate::rows::{RowsFrom, RowsOptions, RowsPlan, fit_frames, point_bits, rotated_centers};
 use crate::rows_change::Change;
-use crate::runs::Runs;
+use crate::runs::{Cell, Runs};
 use crate::scene::Scene;
 use crate::steps::{FRAMES, LATEST, POINTS, ROWS, Reader, StepKind, Steps, step_key};
 use crate::triangles::{Cutouts, LatticeTriangles};
@@ -205,6 +205,62 @@ impl RowsJob<'_> {
         key.digest(input).bytes(bytemuck::cast_slice(frames)).finish()
     }
 
+    /// What would be found, patched and made, as far as that is known before the points are.
+    pub(crate) fn forecast(&self) -> Forecast {
+        let steps = self.steps;
+        let job = self.points_job();
+        let cells = job.cells();
+        let points_key = job.key(&cells);
+        let last = steps.find(LATEST, &self.latest_key(), Last::load);
+        let known = load_points(steps, &points_key);
+        let is_known = known.is_some();
+        let old = known.or_else(|| load_points(steps, &last.as_ref()?.points_key));
+        let is_same = |(cell, digest): &&(Cell, Digest)| {
+            let find = |old: &PointCells| {
+                let at = old.cells.binary_search_by_key(&cell.code, |old| old.code).ok()?;
+                Some(old.cells[at].digest == *digest)
+            };
+            old.as_ref().and_then(find).unwrap_or(false)
+        };
+        let same = cells.iter().filter(is_same).count() as u64;
+        let triangles = |(cell, _): &(Cell, Digest)| {
+            cell.runs.iter().map(|run| self.runs.runs[*run as usize].triangles.len() as u64).sum::<u64>()
+        };
+        let fresh = cells.iter().filter(|cell| !is_same(cell));
+        let mut forecast = Forecast {
+            points: (same, cells.len() as u64 - same),
+            points_triangles: fresh.map(triangles).sum(),
+            ..Forecast::default()
+        };
+        let directions = self.options.directions.count() as usize;
+        let (triangles, cutouts) = Default::default();
+        let plan = RowsPlan::with_frames(self.options, self.lattice, &triangles, &cutouts, vec![], vec![]);
+        let block = plan.info().block_directions as usize;
+        let blocks = |directions: usize| directions.div_ceil(block) as u64;
+        // The points are the last bake's: so are the frames.
+        let is_last = is_known && last.as_ref().is_some_and(|last| last.points_key == points_key);
+        let frames = last.as_ref().and_then(|last| steps.find(FRAMES, &last.frames_key, load_frames));
+        for start in (0..directions).step_by(block * PACK_BLOCKS) {
+            let end = directions.min(start + block * PACK_BLOCKS);
+            let is_kept = frames.as_ref().zip(last.as_ref()).is_some_and(|(frames, last)| {
+                frames.len() == directions
+                    && steps.contains(ROWS, &self.pack_key(&last.input, &frames[start..end]))
+            });
+            let kind = match (is_kept, is_last) {
+                (true, true) => 0,
+                (true, false) if self.options.from == RowsFrom::Points => 1,
+                _ => 2,
+            };
+            forecast.rows[kind] += blocks(end - start);
+            match kind {
+                1 => forecast.patched_directions += (end - start) as u64,
+                2 => forecast.made_directions += (end - start) as u64,
+                _ => {}
+            }
+        }
+        forecast
+    }
+
     /// A plan for what must be made.
     pub fn run(&self, prepared: Prepared) -> RowsRun<'_> {
         RowsRun { job: self, prepared }
@@ -214,6 +270,19 @@ impl RowsJob<'_> {
 fn load_frames(value: &[u8]) -> Option<Vec<DirectionFrame>> {
     let size = size_of::<DirectionFrame>();
     value.len().is_multiple_of(size).then(|| value.chunks_exact(size).map(bytemuck::pod_read_unaligned).collect())
+}
+
+/// What would become of the steps of the rows.
+#[derive(Debug, Clone, Copy, Default)]
+pub(crate) struct Forecast {
+    /// Cells of points that are the same, and others.
+    pub(crate) points: (u64, u64),
+    /// Triangles that reach into the others.
+    pub(crate) points_triangles: u64,
+    /// Blocks that are found, patched, made.
+    pub(crate) rows: [u64; 3],
+    pub(crate) patched_directions: u64,
+    pub(crate) made_directions: u64,
 }
 
 /// The rows, about to be made.

@@ -1,9 +1,11 @@
 //! One bake from a scene file to an archive file: what the command line and build scripts call.
 
-use crate::bake::{BakeError, BakeOptions, BakeReport, Progress, Silent, bake_with};
+use crate::bake::{BakeError, BakeOptions, BakeReport, Placement, Progress, Silent, bake_placed};
 use crate::estimate::Estimate;
+use crate::explain::{Step, explain};
 use crate::generate::generate;
 use crate::import::{ImportError, ImportOptions, SourceFile, import};
+use crate::journal::Journal;
 use crate::recipe::SceneSource;
 use crate::record::{Record, record_key};
 use crate::scene::Scene;
@@ -119,6 +121,29 @@ impl Bake {
         self
     }
 
+    /// Bakes in a build script: prints `cargo:rerun-if-changed` for every file that is read or looked for, so that
+    /// cargo runs the script again when one of them changes. With a [store](Self::store) the next run takes little time.
+    ///
+    /// ```no_run
+    /// // build.rs
+    /// use manyview_pipeline::run::Bake;
+    /// let out = std::path::PathBuf::from(std::env::var_os("OUT_DIR").unwrap());
+    /// Bake::new("assets/scene.glb").output(out.join("scene.mvb")).run_in_build_script().unwrap();
+    /// ```
+    pub fn run_in_build_script(&self) -> Result<Summary, RunError> {
+        let changed = |path: &Path| println!("cargo:rerun-if-changed={}", path.display());
+        // Also where the bake fails: a scene that is repaired must be baked again.
+        if let SceneSource::File(scene) = &self.source {
+            changed(scene);
+        }
+        let summary = self.run()?;
+        summary.files.iter().skip(1).for_each(|file| changed(file));
+        for warning in &summary.warnings {
+            println!("cargo:warning={warning}");
+        }
+        Ok(summary)
+    }
+
     /// Bakes on the CPU, silently.
     pub fn run(&self) -> Result<Summary, RunError> {
         self.run_on(None, &Silent)
@@ -147,8 +172,10 @@ impl Bake {
             files.iter().try_for_each(|file| self.spare(file))?;
             let import_seconds = clock.elapsed().as_secs_f64();
             steps.count(StepKind::Import, 0, 1, 0);
-            let report = bake_with(&scene, &self.options, device, &steps, &mut writer, progress)
-                .map_err(|e| self.failed(e))?;
+            let placement = Placement::new(&scene, &self.options).map_err(|e| self.failed(e))?;
+            let report =
+                bake_placed(&scene, &self.options, &placement, device, &steps, &mut writer, progress)
+                    .map_err(|e| self.failed(e))?;
             let archive = writer.finish()?;
             steps.count(StepKind::Archive, 0, 1, 0);
             let counts = steps.counts();
@@ -157,6 +184,8 @@ impl Bake {
                 let all = total.reused + total.rebuilt;
                 let record = Record::new(&sources, &report, &archive, &scene.warnings, all);
                 record.keep(&steps, self.record_key(sources.first()));
+                let Placement { runs, cube, .. } = &placement;
+                Journal::new(&scene, runs, &sources, &self.options, *cube).keep(&steps, &self.output);
             }
             steps.flush();
             let warnings = scene.warnings;
@@ -221,12 +250,26 @@ impl Bake {
         files.map(|file| folder.join(file)).collect()
     }
 
+    /// Imports the scene and tells of every step whether the store has it, and why not.
+    pub fn explain(&self) -> Result<Vec<Step>, RunError> {
+        self.in_pool(|| {
+            self.options.check().map_err(|e| self.failed(e))?;
+            let steps = Steps::new(self.store.clone());
+            let (scene, sources) = self.load()?;
+            let Placement { runs, cube, .. } =
+                Placement::new(&scene, &self.options).map_err(|e| self.failed(e))?;
+            let last = Journal::find(&steps, &self.output);
+            explain(&scene, &sources, &self.options, &runs, cube, &steps, last.as_ref())
+                .map_err(|e| self.failed(e))
+        })
+    }
+
     /// Imports the scene and tells what the bake would cost, without baking.
     pub fn estimate(&self) -> Result<(Estimate, Vec<String>), RunError> {
         self.in_pool(|| {
             self.options.check().map_err(|e| self.failed(e))?;
             let (scene, _) = self.load()?;
-            let placement = crate::bake::Placement::new(&scene, &self.options).map_err(|e| self.failed(e))?;
+            let placement = Placement::new(&scene, &self.options).map_err(|e| self.failed(e))?;
             Ok((Estimate::new(&scene, &self.options, placement.cube), scene.warnings))
         })
     }

@@ -29,6 +29,8 @@ pub struct Run {
     pub triangles: Range<u32>,
     /// World bounds of the triangles: smallest and largest corner, metres.
     pub bounds: [DVec3; 2],
+    /// Identity of the mesh's part, wherever it is placed.
+    pub mesh: Digest,
     /// Identity of the shape.
     pub shape: Digest,
     /// Identity of shape and look.
@@ -79,7 +81,7 @@ impl Runs {
                             bounds = [bounds[0].min(p), bounds[1].max(p)];
                         }
                         let triangles = first..first + triangles.len() as u32;
-                        Run { instance: index as u32, triangles, bounds, shape, look }
+                        Run { instance: index as u32, triangles, bounds, mesh: digests[0], shape, look }
                     },
                 )
             })

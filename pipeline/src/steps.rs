@@ -6,6 +6,7 @@
 
 use manyview_cache::digest::{Digest, KeyEncoder};
 use manyview_cache::store::{Bucket, Claim, ClaimGuard, Store};
+use serde::Serialize;
 use std::sync::mpsc::{SyncSender, sync_channel};
 use std::sync::{Arc, Mutex, PoisonError};
 use std::thread::JoinHandle;
@@ -29,7 +30,8 @@ pub const BAKES: Bucket = Bucket { name: "bakes", version: 1 };
 pub const BUCKETS: [Bucket; 7] = [SHAPES, LOOKS, POINTS, FRAMES, ROWS, LATEST, BAKES];
 
 /// Kinds of steps, as people hear of them.
-#[derive(Debug, Clone, Copy, PartialEq, Eq, PartialOrd, Ord)]
+#[derive(Debug, Clone, Copy, PartialEq, Eq, PartialOrd, Ord, Serialize)]
+#[serde(rename_all = "snake_case")]
 pub enum StepKind {
     /// Files to a scene.
     Import,

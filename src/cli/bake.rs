@@ -1,5 +1,8 @@
 //! `manyview bake`.
 
+mod explain;
+mod watch;
+
 use std::fmt::Write as _;
 use std::path::{Path, PathBuf};
 use std::str::FromStr;
@@ -78,6 +81,12 @@ pub(crate) struct Options {
     /// Only say what the bake would cost
     #[arg(long)]
     dry_run: bool,
+    /// Say of every step whether the cache has it, and why not
+    #[arg(long)]
+    explain: bool,
+    /// Bake again whenever the scene, or a file that it refers to, changes; until interrupted
+    #[arg(long, conflicts_with = "dry_run")]
+    watch: bool,
     /// Write the files that the archive depends on as a rule for make and ninja
     #[arg(long, value_name = "FILE")]
     depfile: Option<PathBuf>,
@@ -155,59 +164,112 @@ fn warn(format: Format, warnings: &[String]) {
 
 /// Runs the command.
 pub(crate) fn run(options: &Options) -> CliResult {
+    if options.tells_events() {
+        cancel::tell_events();
+    }
+    if options.watch {
+        return watch::run(options);
+    }
+    run_once(options).result.map(|()| Exit::Done)
+}
+
+/// How one bake ended, and what it has looked at.
+pub(super) struct Outcome {
+    pub(super) result: Result<(), CliError>,
+    /// Files that were read or looked for, as far as it got.
+    pub(super) inputs: Vec<PathBuf>,
+}
+
+pub(super) fn run_once(options: &Options) -> Outcome {
+    let mut inputs: Vec<PathBuf> = options.recipe.iter().chain(&options.scene).cloned().collect();
+    let result = bake_once(options, &mut inputs);
+    Outcome { result, inputs }
+}
+
+fn bake_once(options: &Options, inputs: &mut Vec<PathBuf>) -> Result<(), CliError> {
     let recipe = match &options.recipe {
         Some(path) => Recipe::read(path).map_err(CliError::bad_input)?,
         None => Recipe::default(),
     };
-    let bake = plan(options, &recipe)?;
+    let mut bake = plan(options, &recipe)?;
+    if let SceneSource::File(scene) = &bake.source {
+        inputs.push(scene.clone());
+    }
+    inputs.extend(recipe.camera.clone());
     if options.dry_run {
-        let (estimate, warnings) = bake.estimate()?;
-        warn(options.format, &warnings);
-        match options.format {
-            Format::Text => print(&format!("{}\n", estimate_line(&estimate)))?,
-            Format::Json => print_json(&estimate_event(&estimate))?,
-        }
-        return Ok(Exit::Done);
+        return dry_run(options, &mut bake);
     }
     spare_inputs(options, &recipe, &bake)?;
-    for output in
-        [Some(&bake.output), options.preview.as_ref().or(recipe.preview.as_ref())].into_iter().flatten()
-    {
+    let picture = options.preview.as_ref().or(recipe.preview.as_ref());
+    for output in [Some(&bake.output), picture].into_iter().flatten() {
         make_recipe_folder(&recipe, output)?;
-    }
-    if options.tells_events() {
-        cancel::tell_events();
     }
     let clock = std::time::Instant::now();
     let store = options.cache.open(|warning| warn(options.format, &[warning]))?;
-    let mut bake = bake;
     bake.store.clone_from(&store);
     let progress = Progress::new(options.format, cancel::watch());
-    // Opening a GPU takes longer than to see that there is nothing to do.
-    let (result, backend) = match bake.up_to_date() {
-        Ok(Some(summary)) => (Ok(summary), "nothing".to_owned()),
-        Ok(None) => {
-            let device = open_device(options.backend, options.voxels_from)?;
-            let device = device.as_deref();
-            let backend = device.map_or_else(|| "cpu".to_owned(), VoxelDevice::name);
-            (bake.run_on(device, &progress), backend)
-        }
-        Err(error) => (Err(error), String::new()),
-    };
+    let result = bake_or_reuse(options, &bake, &progress);
     progress.finish();
     if let Some(store) = &store {
         warn(options.format, &store.take_warnings());
     }
-    let summary = result?;
+    let (summary, backend) = result.inspect_err(|error| inputs.extend(error.missing_file()))?;
+    inputs.extend(summary.files.iter().cloned());
     warn(options.format, &summary.warnings);
     if let Some(path) = &options.depfile {
         write_depfile(path, &bake.output, &summary, options.recipe.as_deref())?;
     }
-    if let Some(picture) = options.preview.as_ref().or(recipe.preview.as_ref()) {
+    if let Some(picture) = picture {
         super::preview::draw_default(&bake.output, picture, recipe.camera.as_deref())?;
     }
-    report(options.format, &bake, &summary, &backend, clock.elapsed().as_secs_f64())?;
-    Ok(Exit::Done)
+    report(options.format, &bake, &summary, &backend, clock.elapsed().as_secs_f64())
+}
+
+/// The summary, and the name of what baked.
+fn bake_or_reuse(
+    options: &Options,
+    bake: &Bake,
+    progress: &Progress,
+) -> Result<(Summary, String), CliError> {
+    // Opening a GPU takes longer than to see that there is nothing to do.
+    if let Some(summary) = bake.up_to_date()? {
+        if options.explain {
+            explain::tell(options.format, &[]);
+        }
+        return Ok((summary, "nothing".to_owned()));
+    }
+    if options.explain {
+        explain::tell(options.format, &bake.explain()?);
+    }
+    let device = open_device(options.backend, options.voxels_from)?;
+    let device = device.as_deref();
+    let backend = device.map_or_else(|| "cpu".to_owned(), VoxelDevice::name);
+    Ok((bake.run_on(device, progress)?, backend))
+}
+
+/// Says what a bake would cost, and with `--explain` what would become of every step.
+fn dry_run(options: &Options, bake: &mut Bake) -> Result<(), CliError> {
+    let (estimate, warnings) = bake.estimate()?;
+    warn(options.format, &warnings);
+    let mut event = estimate_event(&estimate);
+    if options.format == Format::Text {
+        print(&format!("{}\n", estimate_line(&estimate)))?;
+    }
+    if options.explain {
+        bake.store = options.cache.open_if_there()?;
+        let steps = match bake.up_to_date()? {
+            Some(_) => Vec::new(),
+            None => bake.explain()?,
+        };
+        match options.format {
+            Format::Text => print(&explain::text(&steps))?,
+            Format::Json => event["steps"] = explain::json(&steps),
+        }
+    }
+    match options.format {
+        Format::Text => Ok(()),
+        Format::Json => print_json(&event),
+    }
 }
 
 /// The bake that options and recipe ask for.

@@ -35,6 +35,16 @@ impl CacheOptions {
         if self.no_cache { None } else { folder(self.cache.clone()) }
     }
 
+    /// Opens the cache if it is there already: a run that writes nothing makes none.
+    pub(crate) fn open_if_there(&self) -> Result<Option<Arc<Store>>, CliError> {
+        match self.folder() {
+            Some(folder) if folder.is_dir() => {
+                Ok(Some(Arc::new(Store::open(folder).map_err(CliError::bad_input)?)))
+            }
+            _ => Ok(None),
+        }
+    }
+
     /// Opens the cache. One that was named must open; the user's own is gone without, with a warning.
     pub(crate) fn open(&self, warn: impl FnOnce(String)) -> Result<Option<Arc<Store>>, CliError> {
         let Some(folder) = self.folder() else { return Ok(None) };
