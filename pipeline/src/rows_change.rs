@@ -1,30 +1,73 @@
 //! What differs between two sets of points, and rows made from older rows by it.
 
 use crate::bake::BakeError;
-use crate::rows::RowsPlan;
-use manyview_cache::archive::CompressedChunk;
+use crate::rows::{ROWS_ZSTD_LEVEL, RowsPlan};
+use manyview_cache::archive::{CompressedChunk, TILE_BYTES, TileEditor};
 use manyview_shaders::directions::{DirectionFrame, ROW_RAW_BITS};
-use manyview_shaders::sections::RowsInfo;
+use std::ops::Range;
 
 /// Where more than one in so many points differs, all rows are made anew.
 const MOST_CHANGED: usize = 4;
 /// Points of a cluster: neighbours, whose box tells whether any of them matters to some rows.
 const CLUSTER: usize = 64;
-/// Tiles a side of a direction's rows: a bit for each in a `u64` tells which have rows that change.
-const TILE_BITS: u32 = 3;
+/// Clusters of a group, whose box is asked first.
+const GROUP: usize = 16;
+/// Squares a side of a direction's rows: a bit for each in a `u64` tells which have rows that change.
+const SQUARE_BITS: u32 = 3;
 
 /// What is different between an old set of points and a new one.
 pub(crate) struct Change {
     /// Points that only one of them has.
     points: Vec<[i16; 3]>,
-    clusters: Clusters,
+    clusters: Boxes,
+    groups: Boxes,
 }
 
-/// Boxes around runs of the new points, coordinate by coordinate.
+/// Boxes, coordinate by coordinate.
 #[derive(Default)]
-struct Clusters {
+struct Boxes {
     min: [Vec<i16>; 3],
     max: [Vec<i16>; 3],
+}
+
+impl Boxes {
+    /// Around so many successive points each.
+    fn around(points: &[[i16; 3]], size: usize) -> Self {
+        let mut boxes = Self::default();
+        for points in points.chunks(size) {
+            for i in 0..3 {
+                let coordinates = points.iter().map(|p| p[i]);
+                boxes.min[i].push(coordinates.clone().min().unwrap_or(0));
+                boxes.max[i].push(coordinates.max().unwrap_or(0));
+            }
+        }
+        boxes
+    }
+
+    fn len(&self) -> usize {
+        self.min[0].len()
+    }
+
+    /// Appends those of some boxes that reach into the given squares of a direction.
+    fn find(&self, frame: &DirectionFrame, squares: u64, range: Range<usize>, found: &mut Vec<u32>) {
+        let shift = ROW_RAW_BITS - SQUARE_BITS;
+        for index in range {
+            // The corners of the box that are least and most along an axis.
+            let square = |axis: usize, is_max: bool| {
+                let m = frame.row_from_lattice[axis];
+                let raw = (0..3).fold(frame.offset[axis], |sum, i| {
+                    let corner = if (m[i] < 0) ^ is_max { &self.max[i] } else { &self.min[i] };
+                    sum + m[i] * i32::from(corner[index])
+                });
+                raw.clamp(0, (1 << ROW_RAW_BITS) - 1) >> shift
+            };
+            let columns = (2u64 << square(0, true)) - (1 << square(0, false));
+            let mut rows = square(1, false)..=square(1, true);
+            if rows.any(|v| squares >> (v << SQUARE_BITS) & columns != 0) {
+                found.push(index as u32);
+            }
+        }
+    }
 }
 
 impl Change {
@@ -35,35 +78,13 @@ impl Change {
             sorted.sort_unstable();
             sorted
         };
-        let (old, sorted_new) = (sorted(old), sorted(new));
-        let mut points = Vec::new();
-        let (mut a, mut b) = (old.iter().peekable(), sorted_new.iter().peekable());
-        loop {
-            match (a.peek(), b.peek()) {
-                (Some(x), Some(y)) if x == y => {
-                    a.next();
-                    b.next();
-                }
-                (Some(x), Some(y)) => points.extend(if x < y { a.next() } else { b.next() }),
-                (Some(_), None) => points.extend(a.next()),
-                (None, Some(_)) => points.extend(b.next()),
-                (None, None) => break,
-            }
-        }
+        let points = only_in_one(&sorted(old), &sorted(new));
         if points.len() * MOST_CHANGED > new.len() {
             return None;
         }
-        let mut clusters = Clusters::default();
-        for cluster in new.chunks(CLUSTER) {
-            for i in 0..3 {
-                let coordinates = cluster.iter().map(|p| p[i]);
-                let bounds =
-                    coordinates.fold((i16::MAX, i16::MIN), |(lo, hi), c| (lo.min(c), hi.max(c)));
-                clusters.min[i].push(bounds.0);
-                clusters.max[i].push(bounds.1);
-            }
-        }
-        Some(Self { points, clusters })
+        let clusters = Boxes::around(new, CLUSTER);
+        let groups = Boxes::around(new, CLUSTER * GROUP);
+        Some(Self { points, clusters, groups })
     }
 
     /// The rows of the new points in `frames`, from the old points' rows in `old_frames`.
@@ -74,53 +95,157 @@ impl Change {
         old_frames: &[DirectionFrame],
         old: &CompressedChunk,
     ) -> Result<CompressedChunk, BakeError> {
-        let info = plan.info();
-        let words = info.direction_bytes() / 4;
-        let mut rows = vec![0u32; words * frames.len()];
-        old.content_into_zeros(bytemuck::cast_slice_mut(&mut rows))?;
-        let mut scratch = Scratch::new(&info);
-        for ((frame, old_frame), rows) in frames.iter().zip(old_frames).zip(rows.chunks_exact_mut(words)) {
-            if frame == old_frame {
-                self.patch_direction(plan, frame, &info, &mut scratch, rows);
-            } else {
-                rows.copy_from_slice(&plan.block(std::slice::from_ref(frame)));
-            }
+        let anew = || RowsPlan::compress(&plan.block(frames));
+        let words = plan.info().direction_bytes() / 4;
+        if old.raw_bytes() as usize != words * 4 * frames.len() {
+            return Ok(anew());
         }
-        Ok(RowsPlan::compress(&rows))
+        let Some(mut editor) = TileEditor::new(old)? else { return Ok(anew()) };
+        let mut patch = Patch::new(self, plan);
+        // Several directions in a tile, or several tiles in a direction.
+        let together = (TILE_BYTES / (words * 4)).max(1);
+        let tiles_of = |start: usize, count: usize| {
+            start * words * 4 / TILE_BYTES..((start + count) * words * 4).div_ceil(TILE_BYTES)
+        };
+        for (number, (frames, old_frames)) in
+            frames.chunks(together).zip(old_frames.chunks(together)).enumerate()
+        {
+            let tiles = tiles_of(number * together, frames.len());
+            patch.directions(&mut editor, tiles, frames, old_frames)?;
+        }
+        Ok(editor.finish().unwrap_or_else(anew))
+    }
+}
+
+/// What only one of two sorted lists has.
+fn only_in_one(old: &[[i16; 3]], new: &[[i16; 3]]) -> Vec<[i16; 3]> {
+    let mut only = Vec::new();
+    let (mut a, mut b) = (old.iter().peekable(), new.iter().peekable());
+    loop {
+        match (a.peek(), b.peek()) {
+            (Some(x), Some(y)) if x == y => {
+                a.next();
+                b.next();
+            }
+            (Some(x), Some(y)) => only.extend(if x < y { a.next() } else { b.next() }),
+            (Some(_), None) => only.extend(a.next()),
+            (None, Some(_)) => only.extend(b.next()),
+            (None, None) => return only,
+        }
+    }
+}
+
+/// One thread's work on a block.
+struct Patch<'a> {
+    change: &'a Change,
+    plan: &'a RowsPlan<'a>,
+    bits: u32,
+    /// Rows of some directions, of which the tiles that change are filled in.
+    rows: Vec<u32>,
+    /// A bit for each row of a direction.
+    touched: Vec<u64>,
+    /// Touched rows, in the order they were met.
+    list: Vec<u32>,
+    groups: Vec<u32>,
+    clusters: Vec<u32>,
+}
+
+impl<'a> Patch<'a> {
+    fn new(change: &'a Change, plan: &'a RowsPlan<'a>) -> Self {
+        let bits = plan.info().bits;
+        let touched = vec![0; 1 << (2 * bits - 6)];
+        let (rows, list, groups, clusters) = Default::default();
+        Self { change, plan, bits, rows, touched, list, groups, clusters }
     }
 
-    fn patch_direction(
-        &self,
-        plan: &RowsPlan<'_>,
-        frame: &DirectionFrame,
-        info: &RowsInfo,
-        scratch: &mut Scratch,
-        rows: &mut [u32],
-    ) {
-        let bits = info.bits;
-        let row_words = 1usize << (bits - 5);
-        let tile_shift = bits - TILE_BITS;
-        let row_of = |u: u32, v: u32| (v << bits | u) as usize;
-        scratch.touched.fill(0);
-        let mut tiles = 0u64;
-        for &point in &self.points {
-            let [u, v, _] = frame.voxel(point, bits);
-            let row = row_of(u, v);
-            let (word, bit) = (row / 64, 1u64 << (row % 64));
-            if scratch.touched[word] & bit == 0 {
-                scratch.touched[word] |= bit;
-                tiles |= 1 << ((v >> tile_shift) << TILE_BITS | (u >> tile_shift));
-                rows[row * row_words..(row + 1) * row_words].fill(0);
+    /// Changes the directions that share some tiles.
+    fn directions(
+        &mut self,
+        editor: &mut TileEditor<'_>,
+        tiles: Range<usize>,
+        frames: &[DirectionFrame],
+        old_frames: &[DirectionFrame],
+    ) -> Result<(), BakeError> {
+        let words = self.plan.info().direction_bytes() / 4;
+        let tile_words = TILE_BYTES / 4;
+        let row_words = 1usize << (self.bits - 5);
+        let mut rows = std::mem::take(&mut self.rows);
+        rows.clear();
+        rows.resize(words * frames.len(), 0);
+        let mut is_read = vec![false; tiles.len()];
+        let mut read = |tile: usize, rows: &mut [u32]| {
+            if std::mem::replace(&mut is_read[tile], true) {
+                return Ok(());
+            }
+            let end = rows.len().min((tile + 1) * tile_words);
+            editor.read(tiles.start + tile, bytemuck::cast_slice_mut(&mut rows[tile * tile_words..end]))
+        };
+        for (number, (frame, old_frame)) in frames.iter().zip(old_frames).enumerate() {
+            let start = number * words;
+            if frame != old_frame {
+                // All tiles are read first, since others may share them.
+                for tile in start / tile_words..(start + words).div_ceil(tile_words) {
+                    read(tile, &mut rows)?;
+                }
+                rows[start..start + words].copy_from_slice(&self.plan.block(std::slice::from_ref(frame)));
+                continue;
+            }
+            let squares = self.touch(frame);
+            for &row in &self.list {
+                let at = start + row as usize * row_words;
+                read(at / tile_words, &mut rows)?;
+                rows[at..at + row_words].fill(0);
+            }
+            self.fill(frame, squares, &mut rows[start..start + words]);
+        }
+        for (tile, _) in is_read.iter().enumerate().filter(|(_, is_read)| **is_read) {
+            let end = rows.len().min((tile + 1) * tile_words);
+            let content = bytemuck::cast_slice(&rows[tile * tile_words..end]);
+            editor.replace(tiles.start + tile, content, ROWS_ZSTD_LEVEL);
+        }
+        self.rows = rows;
+        Ok(())
+    }
+
+    /// Notes the rows that a point has come to or gone from; their squares.
+    fn touch(&mut self, frame: &DirectionFrame) -> u64 {
+        let shift = self.bits - SQUARE_BITS;
+        self.touched.fill(0);
+        self.list.clear();
+        let mut squares = 0u64;
+        for &point in &self.change.points {
+            let [u, v, _] = frame.voxel(point, self.bits);
+            let row = v << self.bits | u;
+            let (word, bit) = ((row / 64) as usize, 1u64 << (row % 64));
+            if self.touched[word] & bit == 0 {
+                self.touched[word] |= bit;
+                self.list.push(row);
+                squares |= 1 << ((v >> shift) << SQUARE_BITS | (u >> shift));
             }
         }
-        self.clusters.find(frame, tiles, scratch);
-        let points = plan.points();
-        for &cluster in &scratch.found {
+        squares
+    }
+
+    /// Sets the bits of all points in touched rows.
+    fn fill(&mut self, frame: &DirectionFrame, squares: u64, rows: &mut [u32]) {
+        let change = self.change;
+        let (groups, clusters) = (&mut self.groups, &mut self.clusters);
+        groups.clear();
+        change.groups.find(frame, squares, 0..change.groups.len(), groups);
+        clusters.clear();
+        for &group in groups.iter() {
+            let start = group as usize * GROUP;
+            let end = change.clusters.len().min(start + GROUP);
+            change.clusters.find(frame, squares, start..end, clusters);
+        }
+        let row_words = 1usize << (self.bits - 5);
+        let points = self.plan.points();
+        for &cluster in clusters.iter() {
             let start = cluster as usize * CLUSTER;
             for &point in &points[start..points.len().min(start + CLUSTER)] {
-                let [u, v, w] = frame.voxel(point, bits);
-                let row = row_of(u, v);
-                if scratch.touched[row / 64] >> (row % 64) & 1 == 1 {
+                let [u, v, w] = frame.voxel(point, self.bits);
+                let row = (v << self.bits | u) as usize;
+                if self.touched[row / 64] >> (row % 64) & 1 == 1 {
                     rows[row * row_words + (w >> 5) as usize] |= 1 << (w & 31);
                 }
             }
@@ -128,49 +253,60 @@ impl Change {
     }
 }
 
-/// Memory of one thread's work.
-struct Scratch {
-    /// A bit for each row.
-    touched: Vec<u64>,
-    /// Tile bounds of the clusters: smallest u, largest u, smallest v, largest v.
-    bounds: [Vec<u8>; 4],
-    /// Clusters that may have points in touched rows.
-    found: Vec<u32>,
-}
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::points::coarse_boxes;
+    use crate::rows::{RowsFrom, RowsOptions, fit_frames};
+    use crate::triangles::{Cutouts, LatticeTriangles};
+    use manyview_shaders::directions::{DirectionSet, Fit, RowLattice};
+    use proptest::prelude::*;
 
-impl Scratch {
-    fn new(info: &RowsInfo) -> Self {
-        Self { touched: vec![0; 1 << (2 * info.bits - 6)], bounds: Default::default(), found: Vec::new() }
+    /// Points in cells of their own, in the order of their codes.
+    fn points(seed: u32, count: usize) -> Vec<[i16; 3]> {
+        let mut state = seed;
+        let mut coordinate = || {
+            state = state.wrapping_mul(1_664_525).wrapping_add(1_013_904_223);
+            ((state >> 16) as i32 % 32_769 - 16_384) as i16
+        };
+        let mut points: Vec<_> = (0..count).map(|_| [coordinate(), coordinate(), coordinate()]).collect();
+        points.sort_unstable_by_key(|p| crate::octree::morton(crate::points::cell_code(*p, 8)));
+        points
     }
-}
 
-impl Clusters {
-    /// Finds the clusters whose boxes reach into the given tiles of a direction.
-    fn find(&self, frame: &DirectionFrame, tiles: u64, scratch: &mut Scratch) {
-        let shift = ROW_RAW_BITS - TILE_BITS;
-        for axis in 0..2 {
-            let m = frame.row_from_lattice[axis];
-            for is_max in [false, true] {
-                // The corner of the box that is least (most) along the axis.
-                let corner = [0, 1, 2].map(|i| if (m[i] < 0) ^ is_max { &self.max[i] } else { &self.min[i] });
-                let out = &mut scratch.bounds[axis * 2 + usize::from(is_max)];
-                out.clear();
-                out.extend(corner[0].iter().zip(corner[1]).zip(corner[2]).map(|((&x, &y), &z)| {
-                    let raw = m[0] * i32::from(x) + m[1] * i32::from(y) + m[2] * i32::from(z)
-                        + frame.offset[axis];
-                    (raw.clamp(0, (1 << ROW_RAW_BITS) - 1) >> shift) as u8
-                }));
+    proptest! {
+        #![proptest_config(ProptestConfig { cases: 24, ..ProptestConfig::default() })]
+
+        #[test]
+        fn changed_rows_are_the_rows_of_the_new_points(
+            bits in 5u32..8, seed: u32, gone in 0usize..60, moved in 0usize..40, by in -4000i16..4000,
+        ) {
+            let old = points(seed, 3000);
+            let mut new = old.clone();
+            new.drain(..gone);
+            for point in new.iter_mut().rev().take(moved) {
+                *point = point.map(|c| c.saturating_add(by).clamp(-16_384, 16_384));
             }
+            new.sort_unstable_by_key(|p| crate::octree::morton(crate::points::cell_code(*p, 8)));
+            let directions = DirectionSet::LatLong { thetas: 5, phis: 3 };
+            let options = RowsOptions { bits, directions, fit: Fit::Extent, from: RowsFrom::Points };
+            let lattice = RowLattice::new([-3.0, 0.0, -5.0], [3.0, 4.0, 5.0]);
+            let (triangles, cutouts) = (LatticeTriangles::default(), Cutouts::default());
+            let plan = |points: &[[i16; 3]]| {
+                let frames = fit_frames(options, &lattice, &coarse_boxes(points));
+                RowsPlan::with_frames(options, lattice, &triangles, &cutouts, points.to_vec(), frames)
+            };
+            let (old_plan, new_plan) = (plan(&old), plan(&new));
+            let old_chunk = RowsPlan::compress(&old_plan.block(&old_plan.frames));
+            let change = Change::between(&old, &new).expect("most is the same");
+            let patched = change.patch(&new_plan, &new_plan.frames, &old_plan.frames, &old_chunk).unwrap();
+            prop_assert!(patched == RowsPlan::compress(&new_plan.block(&new_plan.frames)));
         }
-        let [u_min, u_max, v_min, v_max] = &scratch.bounds;
-        scratch.found.clear();
-        for cluster in 0..u_min.len() {
-            let columns = (2u64 << u_max[cluster]) - (1 << u_min[cluster]);
-            let is_hit =
-                (v_min[cluster]..=v_max[cluster]).any(|v| tiles >> (u32::from(v) << TILE_BITS) & columns != 0);
-            if is_hit {
-                scratch.found.push(cluster as u32);
-            }
-        }
+    }
+
+    #[test]
+    fn sets_with_little_in_common_are_not_patched() {
+        assert!(Change::between(&points(1, 1000), &points(2, 1000)).is_none());
+        assert_eq!(Change::between(&points(1, 1000), &points(1, 1000)).map(|c| c.points.len()), Some(0));
     }
 }

@@ -162,6 +162,7 @@ impl Bake {
             }
             let steps = Steps::new(self.store.clone());
             if let Some(summary) = self.find_archive(&steps) {
+                self.touch_output();
                 return Ok(summary);
             }
             // Before the long work: an output that cannot be written is known at once.
@@ -201,6 +202,15 @@ impl Bake {
             self.spare(scene)?;
         }
         Ok(self.find_archive(&Steps::new(self.store.clone())))
+    }
+
+    /// Gives an archive that is [up to date](Self::up_to_date) the time of now, so that `make`, which knows times only,
+    /// does not ask again.
+    pub fn touch_output(&self) {
+        if let Ok(file) = fs_err::OpenOptions::new().append(true).open(&self.output) {
+            // Failing costs another look.
+            _ = file.file().set_modified(std::time::SystemTime::now());
+        }
     }
 
     fn find_archive(&self, steps: &Steps) -> Option<Summary> {

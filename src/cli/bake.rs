@@ -233,6 +233,7 @@ fn bake_or_reuse(
 ) -> Result<(Summary, String), CliError> {
     // Opening a GPU takes longer than to see that there is nothing to do.
     if let Some(summary) = bake.up_to_date()? {
+        bake.touch_output();
         if options.explain {
             explain::tell(options.format, &[]);
         }
