@@ -343,7 +343,11 @@ pub(crate) fn bake_placed<W: Write + Seek>(
 }
 
 /// Checks that depth peeling found exactly the voxels that hold a fragment.
-pub(crate) fn same_voxels(clip: &VoxelBox, peeled: &[u32], fragments: &[PackedFragment]) -> Result<(), BakeError> {
+pub(crate) fn same_voxels(
+    clip: &VoxelBox,
+    peeled: &[u32],
+    fragments: &[PackedFragment],
+) -> Result<(), BakeError> {
     let size = [0, 1, 2].map(|i| (clip.max[i] - clip.min[i]) as u32);
     let mut from_fragments = vec![0u32; peeled.len()];
     for fragment in fragments {

@@ -221,10 +221,9 @@ pub(crate) fn explain(
         };
         let reasons = changes.or_not_in_cache(reasons);
         let [made, patched] = [forecast.made_directions, forecast.patched_directions];
-        for (state, count, cost) in [
-            (State::Hit, forecast.points.0, 0),
-            (State::Miss, forecast.points.1, forecast.points_triangles),
-        ] {
+        for (state, count, cost) in
+            [(State::Hit, forecast.points.0, 0), (State::Miss, forecast.points.1, forecast.points_triangles)]
+        {
             let reasons = if state == State::Hit { Vec::new() } else { reasons.clone() };
             push(&mut lines, StepKind::Points, count, state, reasons, cost, "triangles");
         }
@@ -312,9 +311,8 @@ impl ObjectChange {
     fn reaches(&self, min: [f64; 3], edge: f64) -> bool {
         // Voxels are snapped: a hair's breadth outside may still count.
         let slack = edge / 256.0;
-        let overlaps = |b: &[[f64; 3]; 2]| {
-            (0..3).all(|i| b[0][i] <= min[i] + edge + slack && b[1][i] >= min[i] - slack)
-        };
+        let overlaps =
+            |b: &[[f64; 3]; 2]| (0..3).all(|i| b[0][i] <= min[i] + edge + slack && b[1][i] >= min[i] - slack);
         self.bounds.iter().any(overlaps)
     }
 }
@@ -344,11 +342,13 @@ impl Changes {
         }
         let names = last.parameters.keys().chain(now.parameters.keys());
         for name in names.collect::<std::collections::BTreeSet<_>>() {
-            let value = |journal: &Journal| journal.parameters.get(name).cloned().unwrap_or("none".to_owned());
+            let value =
+                |journal: &Journal| journal.parameters.get(name).cloned().unwrap_or("none".to_owned());
             let (old, new) = (value(last), value(now));
             if old != new {
                 let is_octrees = name == "--levels" || name == "cube";
-                let list = if is_octrees { &mut changes.octree_parameters } else { &mut changes.rows_parameters };
+                let list =
+                    if is_octrees { &mut changes.octree_parameters } else { &mut changes.rows_parameters };
                 list.push(Reason::Parameter { name: name.clone(), old, new });
             }
         }

@@ -119,9 +119,10 @@ fn objects(scene: &Scene, runs: &Runs) -> Vec<Object> {
                 runs.iter().for_each(|run| _ = key.digest(&of(run)));
                 short(&key.finish())
             };
-            let bounds = runs.iter().map(|run| run.bounds).fold(runs[0].bounds, |a, b| {
-                [a[0].min(b[0]), a[1].max(b[1])]
-            });
+            let bounds = runs
+                .iter()
+                .map(|run| run.bounds)
+                .fold(runs[0].bounds, |a, b| [a[0].min(b[0]), a[1].max(b[1])]);
             Object {
                 name: scene.meshes[instance.mesh as usize].name.clone(),
                 mesh: joined(&|run| run.mesh),

@@ -17,6 +17,7 @@ pub mod reduce;
 pub mod regions;
 pub mod rows;
 mod rows_change;
+pub mod rows_frames;
 pub mod rows_step;
 pub mod run;
 pub mod runs;

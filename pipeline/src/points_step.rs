@@ -105,7 +105,8 @@ impl PointsJob<'_> {
         let cells = CellRuns::new(self.scene, self.runs, cell_of, |corners, visit| {
             // Points lie within the bounds of their triangle.
             let of = corners.map(cell_of);
-            let [lo, hi] = [i64::min, i64::max].map(|f| [0, 1, 2].map(|i| f(f(of[0][i], of[1][i]), of[2][i])));
+            let [lo, hi] =
+                [i64::min, i64::max].map(|f| [0, 1, 2].map(|i| f(f(of[0][i], of[1][i]), of[2][i])));
             for z in lo[2]..=hi[2] {
                 for y in lo[1]..=hi[1] {
                     (lo[0]..=hi[0]).for_each(|x| visit([x, y, z]));
@@ -143,7 +144,8 @@ impl PointsJob<'_> {
             .map(|(cell, digest)| {
                 let old = old.as_mut()?;
                 while old.next_if(|(other, _)| other.code < cell.code).is_some() {}
-                let (_, range) = old.next_if(|(other, _)| other.code == cell.code && other.digest == *digest)?;
+                let (_, range) =
+                    old.next_if(|(other, _)| other.code == cell.code && other.digest == *digest)?;
                 Some(range)
             })
             .collect();

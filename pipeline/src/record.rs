@@ -125,7 +125,8 @@ impl Record {
     /// Whether the files beside the scene file are what they were.
     pub(crate) fn has_same_files(&self, folder: &Path) -> bool {
         self.files.iter().skip(1).all(|(path, hash)| {
-            let found = fs_err::read(folder.join(path)).ok().map(|bytes| blake3::hash(&bytes).to_hex().to_string());
+            let found =
+                fs_err::read(folder.join(path)).ok().map(|bytes| blake3::hash(&bytes).to_hex().to_string());
             found == *hash
         })
     }

@@ -271,7 +271,11 @@ impl OctreeJob<'_> {
             let mut results: Vec<(usize, Option<(Part, Part)>)> = if self.device.is_some() {
                 missing.iter().map(|index| make(index, false)).collect::<Result<_, _>>()?
             } else {
-                missing.par_iter().with_max_len(1).map(|index| make(index, false)).collect::<Result<_, _>>()?
+                missing
+                    .par_iter()
+                    .with_max_len(1)
+                    .map(|index| make(index, false))
+                    .collect::<Result<_, _>>()?
             };
             // What other processes were at: theirs by now, or ours.
             for (index, result) in &mut results {
@@ -468,7 +472,8 @@ impl<'a> Maker<'a> {
 
 impl Octree {
     fn join(grid: RegionGrid, emits: bool, regions: Vec<Region>) -> Result<Self, BakeError> {
-        let disagree = || BakeError::Disagreement("a brick of the octree does not fit its neighbours".to_owned());
+        let disagree =
+            || BakeError::Disagreement("a brick of the octree does not fit its neighbours".to_owned());
         let depth = grid.grid.bits;
         let bits = grid.bits();
         let top = (depth - bits) as usize;

@@ -15,16 +15,14 @@
 
 use crate::bake::BakeError;
 use crate::points::{coarse_boxes, surface_points, voxel_centers};
+use crate::rows_frames::fit_frames;
 use crate::triangles::{Cutouts, LatticeTriangles};
 use manyview_cache::archive::{CompressedChunk, MAX_CHUNK_BYTES};
 use manyview_shaders::device::{VoxelDevice, grid_point};
-use manyview_shaders::directions::{
-    DirectionFrame, DirectionSet, Fit, RowLattice, extents_along, rolled_to_fit,
-};
+use manyview_shaders::directions::{DirectionFrame, DirectionSet, Fit, RowLattice};
 use manyview_shaders::raster::{Grid, Raster, VoxelBox};
 use manyview_shaders::rotate::{SpreadPoints, rotate_points};
 use manyview_shaders::sections::RowsInfo;
-use rayon::prelude::*;
 
 /// How rows are voxelized.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
@@ -180,7 +178,11 @@ impl<'a> RowsPlan<'a> {
         rows
     }
 
-    pub(crate) fn block_on(&self, device: &dyn VoxelDevice, frames: &[DirectionFrame]) -> Result<Vec<u32>, BakeError> {
+    pub(crate) fn block_on(
+        &self,
+        device: &dyn VoxelDevice,
+        frames: &[DirectionFrame],
+    ) -> Result<Vec<u32>, BakeError> {
         let rows = match self.options.from {
             RowsFrom::Peel => {
                 device.raster_rows(self.options.bits, frames, &self.triangles.batch(self.cutouts), true)
@@ -205,25 +207,6 @@ pub(crate) const ROWS_ZSTD_LEVEL: i32 = 3;
 /// The points per voxel edge of the rows' points, as log2 of cells a side of their whole grid.
 pub(crate) fn point_bits(options: RowsOptions) -> u32 {
     (options.bits + POINT_BITS_ABOVE_VOXELS).min(MAX_POINT_BITS)
-}
-
-/// The frame of every direction, fitted to boxes around the surface ([`coarse_boxes`]).
-pub fn fit_frames(
-    options: RowsOptions,
-    lattice: &RowLattice,
-    boxes: &[[[i16; 3]; 2]],
-) -> Vec<DirectionFrame> {
-    let set = options.directions;
-    (0..set.count())
-        .into_par_iter()
-        .map(|d| {
-            let axes = match options.fit {
-                Fit::Cube => set.frame(d),
-                Fit::Extent => rolled_to_fit(set.frame(d), lattice, boxes),
-            };
-            DirectionFrame::new(axes, lattice, options.fit, extents_along(axes, lattice, boxes))
-        })
-        .collect()
 }
 
 /// The points of [`RowsFrom::Rotate`].

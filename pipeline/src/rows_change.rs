@@ -257,7 +257,8 @@ impl<'a> Patch<'a> {
 mod tests {
     use super::*;
     use crate::points::coarse_boxes;
-    use crate::rows::{RowsFrom, RowsOptions, fit_frames};
+    use crate::rows::{RowsFrom, RowsOptions};
+    use crate::rows_frames::fit_frames;
     use crate::triangles::{Cutouts, LatticeTriangles};
     use manyview_shaders::directions::{DirectionSet, Fit, RowLattice};
     use proptest::prelude::*;

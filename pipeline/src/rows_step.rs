@@ -10,8 +10,9 @@
 use crate::bake::{BakeError, Progress};
 use crate::points::coarse_boxes;
 use crate::points_step::{PointCell, PointCells, PointsJob, lattice_key, load_points};
-use crate::rows::{RowsFrom, RowsOptions, RowsPlan, fit_frames, point_bits, rotated_centers};
+use crate::rows::{RowsFrom, RowsOptions, RowsPlan, point_bits, rotated_centers};
 use crate::rows_change::Change;
+use crate::rows_frames::{fit_frames, refit_frames};
 use crate::runs::{Cell, Runs};
 use crate::scene::Scene;
 use crate::steps::{FRAMES, LATEST, POINTS, ROWS, Reader, StepKind, Steps, step_key};
@@ -149,8 +150,16 @@ impl RowsJob<'_> {
         lattice_key(&mut frames_key, &self.lattice);
         options_key(&mut frames_key, self.options);
         let frames_key = frames_key.bytes(bytemuck::cast_slice(&boxes)).finish();
+        let mut last_frames = None;
         let frames = steps.find(FRAMES, &frames_key, load_frames).unwrap_or_else(|| {
-            let frames = fit_frames(self.options, &self.lattice, &boxes);
+            last_frames = last.as_ref().and_then(|last| steps.find(FRAMES, &last.frames_key, load_frames));
+            let frames = match (&last_points, &last_frames) {
+                (Some(points), Some(frames)) => {
+                    let old_boxes = coarse_boxes(&points.points);
+                    refit_frames(self.options, &self.lattice, &boxes, &old_boxes, frames)
+                }
+                _ => fit_frames(self.options, &self.lattice, &boxes),
+            };
             steps.keep(FRAMES, frames_key, bytemuck::cast_slice(&frames).to_vec(), None);
             frames
         });
@@ -162,7 +171,10 @@ impl RowsJob<'_> {
         };
         let base = last.filter(|last| last.input != input && self.options.from == RowsFrom::Points).and_then(
             |last| {
-                let frames = steps.find(FRAMES, &last.frames_key, load_frames)?;
+                let frames = match last_frames {
+                    Some(frames) => frames,
+                    None => steps.find(FRAMES, &last.frames_key, load_frames)?,
+                };
                 let change = Change::between(&last_points?.points, &surface.points)?;
                 Some(Base { frames, input: last.input, change })
             },
@@ -269,7 +281,10 @@ impl RowsJob<'_> {
 
 fn load_frames(value: &[u8]) -> Option<Vec<DirectionFrame>> {
     let size = size_of::<DirectionFrame>();
-    value.len().is_multiple_of(size).then(|| value.chunks_exact(size).map(bytemuck::pod_read_unaligned).collect())
+    value
+        .len()
+        .is_multiple_of(size)
+        .then(|| value.chunks_exact(size).map(bytemuck::pod_read_unaligned).collect())
 }
 
 /// What would become of the steps of the rows.

@@ -190,7 +190,15 @@ impl Bake {
             }
             steps.flush();
             let warnings = scene.warnings;
-            Ok(Summary { report, archive, files, warnings, import_seconds, steps: counts, is_up_to_date: false })
+            Ok(Summary {
+                report,
+                archive,
+                files,
+                warnings,
+                import_seconds,
+                steps: counts,
+                is_up_to_date: false,
+            })
         })
     }
 

@@ -76,8 +76,7 @@ impl Runs {
                         });
                         let mut bounds = [DVec3::INFINITY, DVec3::NEG_INFINITY];
                         for vertex in triangles.iter().flatten() {
-                            let p =
-                                transform.transform_point3(mesh.positions[*vertex as usize].as_dvec3());
+                            let p = transform.transform_point3(mesh.positions[*vertex as usize].as_dvec3());
                             bounds = [bounds[0].min(p), bounds[1].max(p)];
                         }
                         let triangles = first..first + triangles.len() as u32;
@@ -302,7 +301,8 @@ impl CellRuns {
                 } else {
                     let instance = &scene.instances[run.instance as usize];
                     let mesh = &scene.meshes[instance.mesh as usize];
-                    for triangle in &mesh.triangles[run.triangles.start as usize..run.triangles.end as usize] {
+                    for triangle in &mesh.triangles[run.triangles.start as usize..run.triangles.end as usize]
+                    {
                         let corners = triangle.map(|v| {
                             let position = mesh.positions[v as usize].as_dvec3();
                             instance.world_from_object.transform_point3(position)

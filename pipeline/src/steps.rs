@@ -186,7 +186,8 @@ impl Steps {
 
     /// Keeps a value, soon.
     pub fn keep(&self, bucket: Bucket, key: Digest, value: Vec<u8>, claim: Option<Arc<ClaimGuard>>) {
-        let queue = self.writer.lock().unwrap_or_else(PoisonError::into_inner).as_ref().map(|w| w.queue.clone());
+        let queue =
+            self.writer.lock().unwrap_or_else(PoisonError::into_inner).as_ref().map(|w| w.queue.clone());
         if let Some(queue) = queue {
             // Fails only where the writer has died: then nothing is kept, which is no error.
             _ = queue.send(Job { bucket, key, value, claim });

@@ -226,11 +226,7 @@ fn bake_once(options: &Options, inputs: &mut Vec<PathBuf>) -> Result<(), CliErro
 }
 
 /// The summary, and the name of what baked.
-fn bake_or_reuse(
-    options: &Options,
-    bake: &Bake,
-    progress: &Progress,
-) -> Result<(Summary, String), CliError> {
+fn bake_or_reuse(options: &Options, bake: &Bake, progress: &Progress) -> Result<(Summary, String), CliError> {
     // Opening a GPU takes longer than to see that there is nothing to do.
     if let Some(summary) = bake.up_to_date()? {
         bake.touch_output();

@@ -176,7 +176,11 @@ fn gc(store: &Store, max_bytes: u64, format: Format) -> CliResult {
             };
             print(&format!(
                 "removed {} with {}, kept {}{in_use}\n",
-                if report.removed == 1 { "1 entry".to_owned() } else { format!("{} entries", count(report.removed)) },
+                if report.removed == 1 {
+                    "1 entry".to_owned()
+                } else {
+                    format!("{} entries", count(report.removed))
+                },
                 bytes(report.removed_bytes),
                 bytes(report.kept_bytes)
             ))?;

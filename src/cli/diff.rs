@@ -125,7 +125,8 @@ pub(super) fn section_states(a: &Archive, b: &Archive) -> BTreeMap<SectionId, St
 /// digests do not tell.
 fn has_same_content(a: &Archive, of_a: &Section, b: &Archive, of_b: &Section) -> bool {
     let cuts = |archive: &Archive, section: &Section| -> Vec<u32> {
-        let chunks = &archive.container().chunks()[section.chunks.start as usize..section.chunks.end as usize];
+        let chunks =
+            &archive.container().chunks()[section.chunks.start as usize..section.chunks.end as usize];
         chunks.iter().map(|chunk| chunk.raw_bytes).collect()
     };
     if of_a.raw_bytes != of_b.raw_bytes || cuts(a, of_a) == cuts(b, of_b) {

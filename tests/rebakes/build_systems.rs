@@ -49,7 +49,8 @@ impl Copy {
     fn raise_the_columns(&self) {
         let mut bytes = fs_err::read(self.path("courtyard.bin")).unwrap();
         let old: Vec<u8> = 3f32.to_le_bytes().to_vec();
-        let at: Vec<usize> = (0..bytes.len() - 4).step_by(4).filter(|&at| bytes[at..at + 4] == old[..]).collect();
+        let at: Vec<usize> =
+            (0..bytes.len() - 4).step_by(4).filter(|&at| bytes[at..at + 4] == old[..]).collect();
         assert_eq!(at.len(), 4, "the upper corners of a column");
         at.iter().for_each(|&at| bytes[at..at + 4].copy_from_slice(&4f32.to_le_bytes()));
         fs_err::write(self.path("courtyard.bin"), bytes).unwrap();

@@ -33,7 +33,11 @@ fn nothing_to_do_is_said_in_one_line() {
     let text = dry(&bakes.work, &SETTINGS);
     assert!(text.ends_with("nothing to make: the archive is what a bake would write\n"), "{text}");
     let run = bakes.work.run([&EXPLAIN[..6], &SETTINGS[..]].concat()).succeeded();
-    assert!(run.stdout.contains("up to date") && run.stdout.contains(" 0 rebuilt, 0 failed"), "{}", run.stdout);
+    assert!(
+        run.stdout.contains("up to date") && run.stdout.contains(" 0 rebuilt, 0 failed"),
+        "{}",
+        run.stdout
+    );
 }
 
 #[test]
@@ -46,7 +50,8 @@ fn a_moved_object_is_named_with_both_places_and_exactly_its_steps() {
     let of = |kind: &str, state: &str| -> Vec<&Value> {
         steps.iter().filter(|step| step["kind"] == kind && step["state"] == state).collect()
     };
-    let counted = |kind, state| of(kind, state).iter().map(|step| step["count"].as_u64().unwrap()).sum::<u64>();
+    let counted =
+        |kind, state| of(kind, state).iter().map(|step| step["count"].as_u64().unwrap()).sum::<u64>();
     assert_eq!((counted("bricks", "miss"), counted("bricks", "hit")), (1, 7));
     assert_eq!((counted("rows", "miss"), counted("rows", "hit")), (0, 0));
     let reason = &of("bricks", "miss")[0]["reasons"][0];
@@ -108,7 +113,10 @@ fn the_summary_counts_by_kind() {
     bakes.work.write_scene("scene.glb", &scene);
     let run: Run = bakes.work.run([&EXPLAIN[..6], &SETTINGS[..]].concat()).succeeded();
     let line = run.stdout.lines().find(|line| line.starts_with("steps: ")).expect("a summary");
-    assert!(line.contains(" reused, ") && line.contains("(import 1, bricks 1, attributes 1, points "), "{line}");
+    assert!(
+        line.contains(" reused, ") && line.contains("(import 1, bricks 1, attributes 1, points "),
+        "{line}"
+    );
     assert!(line.ends_with(", archive 1), 0 failed"), "{line}");
 }
 

@@ -109,7 +109,10 @@ fn an_interrupted_bake_keeps_its_finished_steps() {
     let run = work.run([&usual[..], &arguments[..]].concat()).succeeded();
     let summary: Value = serde_json::from_str(&run.stdout).unwrap();
     let kinds = &summary["steps"]["kinds"];
-    assert_eq!((kinds["bricks"]["rebuilt"].as_u64(), kinds["points"]["rebuilt"].as_u64()), (Some(0), Some(0)));
+    assert_eq!(
+        (kinds["bricks"]["rebuilt"].as_u64(), kinds["points"]["rebuilt"].as_u64()),
+        (Some(0), Some(0))
+    );
 }
 
 /// All entries of the cache.

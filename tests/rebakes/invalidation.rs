@@ -88,7 +88,8 @@ fn another_material_rebakes_attributes_where_it_is() {
 fn alpha_that_cuts_rebakes_bricks_and_rows_where_it_is() {
     let bakes = Bakes::of_village();
     let did = bakes.bake_scene(&edited(|scene| {
-        scene.textures[1] = texture([[20, 90, 20, 0], [20, 90, 20, 255], [60, 120, 20, 0], [20, 90, 20, 255]]);
+        scene.textures[1] =
+            texture([[20, 90, 20, 0], [20, 90, 20, 255], [60, 120, 20, 0], [20, 90, 20, 255]]);
     }));
     assert_eq!(did.kinds(), ["import", "bricks", "attributes", "points", "rows", "archive"]);
     assert!(did.reused("bricks") > 0 && did.reused("points") > 0, "{}", did.summary);
@@ -172,7 +173,9 @@ fn a_parameter_rebakes_exactly_its_steps() {
 #[test]
 fn threads_backends_and_limits_are_in_no_key() {
     let bakes = Bakes::of_village();
-    for arguments in [&["--jobs", "1"][..], &["--jobs", "3", "--max-memory", "2GiB"], &["--voxels-from", "peel"]] {
+    for arguments in
+        [&["--jobs", "1"][..], &["--jobs", "3", "--max-memory", "2GiB"], &["--voxels-from", "peel"]]
+    {
         assert!(bakes.bake(arguments).is_up_to_date(), "{arguments:?}");
     }
 }
@@ -217,13 +220,16 @@ fn files_beside_the_scene_count_by_content_also_missing_ones() {
         let summary: serde_json::Value = serde_json::from_str(&run.stdout).unwrap();
         summary
     };
-    let rebuilt = |summary: &serde_json::Value, kind: &str| summary["steps"]["kinds"][kind]["rebuilt"].as_u64();
+    let rebuilt =
+        |summary: &serde_json::Value, kind: &str| summary["steps"]["kinds"][kind]["rebuilt"].as_u64();
     let missing = bake();
     assert_eq!(rebuilt(&missing, "rows"), Some(0), "without its texture the village has the same shape");
     assert_eq!(bake()["up_to_date"], true);
     let png = |color: [u8; 4]| {
         let mut bytes = std::io::Cursor::new(Vec::new());
-        image::RgbaImage::from_pixel(2, 2, image::Rgba(color)).write_to(&mut bytes, image::ImageFormat::Png).unwrap();
+        image::RgbaImage::from_pixel(2, 2, image::Rgba(color))
+            .write_to(&mut bytes, image::ImageFormat::Png)
+            .unwrap();
         bytes.into_inner()
     };
     work.write("wall.png", &png([1, 2, 3, 255]));
@@ -235,7 +241,11 @@ fn files_beside_the_scene_count_by_content_also_missing_ones() {
     assert!(rebuilt(&changed, "attributes") > Some(0), "{changed}");
     fs_err::remove_file(work.path("wall.png")).unwrap();
     let gone = bake();
-    assert_eq!((&gone["up_to_date"], rebuilt(&gone, "attributes")), (&json!(false), Some(0)), "known from before");
+    assert_eq!(
+        (&gone["up_to_date"], rebuilt(&gone, "attributes")),
+        (&json!(false), Some(0)),
+        "known from before"
+    );
 }
 
 #[test]

@@ -3,7 +3,9 @@
 use crate::scenes::{box_mesh, floor_mesh};
 use crate::workplace::Workplace;
 use glam::{DMat4, DVec3, Vec3, Vec4};
-use manyview_pipeline::scene::{AlphaMode, Instance, LightKind, Material, PunctualLight, Scene, Texture, Wrap};
+use manyview_pipeline::scene::{
+    AlphaMode, Instance, LightKind, Material, PunctualLight, Scene, Texture, Wrap,
+};
 use serde_json::Value;
 
 /// Settings under which the village has several bricks (2 × 2 × 2 of 256³ voxels) and a few blocks of rows.

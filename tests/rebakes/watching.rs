@@ -1,9 +1,9 @@
 //! `bake --watch`.
 #![cfg(unix)]
 
+use crate::scenes::split_glb;
 use crate::village::{CORNERS, SETTINGS, texture, village};
 use crate::workplace::{Run, Workplace, glb};
-use crate::scenes::split_glb;
 use serde_json::{Value, json};
 use std::io::{BufRead as _, BufReader};
 use std::process::{Child, ChildStderr, Stdio};
@@ -72,7 +72,9 @@ fn a_changed_scene_is_baked_again_and_a_touched_one_is_not() {
     work.write("scene.tmp", &glb(&scene));
     fs_err::rename(work.path("scene.tmp"), work.path("scene.glb")).unwrap();
     let changed = watch.until("watching");
-    assert!(changed.iter().any(|event| event["event"] == "changed" && event["files"] == json!(["scene.glb"])));
+    assert!(
+        changed.iter().any(|event| event["event"] == "changed" && event["files"] == json!(["scene.glb"]))
+    );
     assert!(changed.iter().any(|event| event["event"] == "step_begin"));
     assert!(work.read("out.mvb") == clean(&work, "scene.glb"));
     // The same bytes with another time.
@@ -102,7 +104,13 @@ fn files_that_were_missing_are_watched_too() {
     // Without its buffer there is no scene.
     watch.until("error");
     let watching = watch.until("watching").pop().unwrap();
-    assert!(watching["files"].as_array().unwrap().iter().any(|file| file.as_str().unwrap().ends_with("scene.bin")));
+    assert!(
+        watching["files"]
+            .as_array()
+            .unwrap()
+            .iter()
+            .any(|file| file.as_str().unwrap().ends_with("scene.bin"))
+    );
     work.write("scene.bin", &binary);
     watch.until("watching");
     assert!(work.read("out.mvb") == clean(&work, "scene.gltf"));

@@ -123,10 +123,12 @@ impl CompressedChunk {
         assert!(raw.len() <= MAX_CHUNK_BYTES, "{} bytes are more than a chunk takes", raw.len());
         let raw_digest = Digest::of(raw);
         // Compression into less than `raw.len()` bytes fails where it would not help.
-        let compressed = (codec != Codec::Raw).then_some(()).and_then(|()| SCRATCH.with_borrow_mut(|scratch| {
-            scratch.resize(raw.len() - 1, 0);
-            compress_into(form, level, scratch).ok().map(|size| Box::from(&scratch[..size]))
-        }));
+        let compressed = (codec != Codec::Raw).then_some(()).and_then(|()| {
+            SCRATCH.with_borrow_mut(|scratch| {
+                scratch.resize(raw.len() - 1, 0);
+                compress_into(form, level, scratch).ok().map(|size| Box::from(&scratch[..size]))
+            })
+        });
         let (codec, stored) = match compressed {
             Some(stored) => (codec, stored),
             None => (Codec::Raw, Box::from(raw)),

@@ -46,8 +46,7 @@ pub(super) struct Tile {
 impl Tile {
     /// Compresses the tile that begins at `offset` in its chunk. A chunk of one tile has no use for a part of a digest.
     fn encode(raw: &[u8], offset: usize, level: i32) -> Self {
-        let digest =
-            blake3::Hasher::new().set_input_offset(offset as u64).update(raw).finalize_non_root();
+        let digest = blake3::Hasher::new().set_input_offset(offset as u64).update(raw).finalize_non_root();
         if raw.iter().all(|&byte| byte == 0) {
             return Self { kind: Kind::Zero, stored: Vec::new(), digest };
         }
@@ -225,9 +224,10 @@ impl<'a> TileEditor<'a> {
     pub fn finish(self) -> Option<CompressedChunk> {
         let digests = self.old.tile_digests();
         let raw_bytes = self.old.raw_bytes() as usize;
-        let tiles = self.new.into_iter().zip(self.tiles).zip(digests).map(|((new, (kind, stored)), digest)| {
-            new.unwrap_or_else(|| Tile { kind, stored: stored.to_vec(), digest: *digest })
-        });
+        let tiles =
+            self.new.into_iter().zip(self.tiles).zip(digests).map(|((new, (kind, stored)), digest)| {
+                new.unwrap_or_else(|| Tile { kind, stored: stored.to_vec(), digest: *digest })
+            });
         // There are at least two tiles, so nobody asks for the digest of the whole.
         let (stored, digest, digests) = join(tiles, raw_bytes, || self.old.raw_digest())?;
         Some(CompressedChunk::of_tiles(stored, raw_bytes, digest, digests))
@@ -248,7 +248,13 @@ mod tests {
             let mut state = 1u64 + u64::from(*byte);
             raw.extend((0..size).map(|at| {
                 state = state.wrapping_mul(6_364_136_223_846_793_005).wrapping_add(1_442_695_040_888_963_407);
-                if *step == 0 || at % step != 0 { 0 } else if *step == 1 { (state >> 56) as u8 } else { *byte }
+                if *step == 0 || at % step != 0 {
+                    0
+                } else if *step == 1 {
+                    (state >> 56) as u8
+                } else {
+                    *byte
+                }
             }));
         }
         raw
@@ -261,7 +267,11 @@ mod tests {
         let chunk = CompressedChunk::compress_tiles(&raw, 1);
         let stored = chunk.stored();
         assert_eq!(stored[..4], [0, 0, 0, 0xc0], "nothing");
-        assert_eq!((stored[7], usize::from(stored[4]), stored[5]), (0x80, stored.len() - 8, 0), "a sparse form");
+        assert_eq!(
+            (stored[7], usize::from(stored[4]), stored[5]),
+            (0x80, stored.len() - 8, 0),
+            "a sparse form"
+        );
         assert_eq!(chunk.raw_digest(), Digest::of(&raw));
     }
 

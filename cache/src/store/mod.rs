@@ -138,8 +138,10 @@ impl Store {
     /// Opens the store in the folder `root`, which is made if it is not there.
     pub fn open(root: impl Into<PathBuf>) -> Result<Self, StoreError> {
         let root = root.into();
-        let fail =
-            |path: &Path, action| { let path = path.to_owned(); move |source| StoreError { path, action, source } };
+        let fail = |path: &Path, action| {
+            let path = path.to_owned();
+            move |source| StoreError { path, action, source }
+        };
         for folder in ["tmp", "leases", "claims"].map(|name| root.join(name)) {
             fs_err::create_dir_all(&folder).map_err(fail(&folder, "make the folder"))?;
         }
@@ -204,7 +206,10 @@ impl Store {
 
     fn report_broken(&self, path: &Path, reason: &str) {
         _ = fs_err::remove_file(path);
-        self.warn(format!("cache entry {} is broken ({reason}): it is removed and made anew", path.display()));
+        self.warn(format!(
+            "cache entry {} is broken ({reason}): it is removed and made anew",
+            path.display()
+        ));
         let mut counts = self.counts();
         counts.broken += 1;
         counts.misses += 1;

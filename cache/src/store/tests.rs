@@ -52,7 +52,10 @@ fn the_folder_looks_as_drawn() {
     let (_folder, store) = store();
     store.put(BUCKET, &key(1), &[b"value"]);
     let name = key(1).to_string();
-    assert_eq!(store.entry_path(BUCKET, &key(1)), store.root().join("values-v3").join(&name[..2]).join(&name));
+    assert_eq!(
+        store.entry_path(BUCKET, &key(1)),
+        store.root().join("values-v3").join(&name[..2]).join(&name)
+    );
     let expected = ["CACHEDIR.TAG", "claims", "leases", "tmp", "values-v3"].map(str::to_owned);
     assert_eq!(names(store.root()), BTreeSet::from(expected));
     let tag = fs_err::read_to_string(store.root().join("CACHEDIR.TAG")).unwrap();
@@ -178,7 +181,8 @@ fn a_claim_is_one_processs_at_a_time() {
     assert!(matches!(other.claim(&key(1)), Claim::Theirs));
     assert!(matches!(other.claim(&key(2)), Claim::Mine(_)), "of another value");
     assert!(matches!(other.claim_or_wait(&key(1), || true), Claim::Theirs), "waiting can be cancelled");
-    let waiting = std::thread::spawn(move || matches!(other.claim_or_wait(&key(1), || false), Claim::Mine(_)));
+    let waiting =
+        std::thread::spawn(move || matches!(other.claim_or_wait(&key(1), || false), Claim::Mine(_)));
     std::thread::sleep(Duration::from_millis(30));
     drop(mine);
     assert!(waiting.join().unwrap());
