@@ -252,7 +252,7 @@ impl Placement {
 }
 
 /// Bakes `scene` into `writer`, which the caller finishes. Work that a GPU can do runs on `device` if there is one.
-pub fn bake<W: Write + Seek>(
+pub fn bake<W: Write + Seek + Send>(
     scene: &Scene,
     options: &BakeOptions,
     device: Option<&dyn VoxelDevice>,
@@ -263,7 +263,7 @@ pub fn bake<W: Write + Seek>(
 }
 
 /// As [`bake`], with the results of steps that a store has. The bytes are the same.
-pub fn bake_with<W: Write + Seek>(
+pub fn bake_with<W: Write + Seek + Send>(
     scene: &Scene,
     options: &BakeOptions,
     device: Option<&dyn VoxelDevice>,
@@ -275,7 +275,7 @@ pub fn bake_with<W: Write + Seek>(
 }
 
 /// As [`bake_with`], of a scene whose place is known.
-pub(crate) fn bake_placed<W: Write + Seek>(
+pub(crate) fn bake_placed<W: Write + Seek + Send>(
     scene: &Scene,
     options: &BakeOptions,
     placement: &Placement,

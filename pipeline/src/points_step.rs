@@ -67,7 +67,7 @@ impl PointCells {
     }
 
     /// Each cell with the range of its points.
-    fn ranges(&self) -> impl Iterator<Item = (&PointCell, std::ops::Range<usize>)> {
+    pub(crate) fn ranges(&self) -> impl Iterator<Item = (&PointCell, std::ops::Range<usize>)> {
         self.cells.iter().scan(0, |start, cell| {
             let range = *start..*start + cell.count as usize;
             *start = range.end;

@@ -1,6 +1,7 @@
 //! What differs between two sets of points, and rows made from older rows by it.
 
 use crate::bake::BakeError;
+use crate::points_step::{PointCell, PointCells};
 use crate::rows::{ROWS_ZSTD_LEVEL, RowsPlan};
 use manyview_cache::archive::{CompressedChunk, TILE_BYTES, TileEditor};
 use manyview_shaders::directions::{DirectionFrame, ROW_RAW_BITS};
@@ -12,7 +13,7 @@ const MOST_CHANGED: usize = 4;
 const CLUSTER: usize = 64;
 /// Clusters of a group, whose box is asked first.
 const GROUP: usize = 16;
-/// Squares a side of a direction's rows: a bit for each in a `u64` tells which have rows that change.
+/// log2 of squares a side of a direction's rows. What changes in each is taken together as a rectangle.
 const SQUARE_BITS: u32 = 3;
 
 /// What is different between an old set of points and a new one.
@@ -48,42 +49,99 @@ impl Boxes {
         self.min[0].len()
     }
 
-    /// Appends those of some boxes that reach into the given squares of a direction.
-    fn find(&self, frame: &DirectionFrame, squares: u64, range: Range<usize>, found: &mut Vec<u32>) {
-        let shift = ROW_RAW_BITS - SQUARE_BITS;
+    /// Appends those of some boxes that reach into any of the given rectangles of rows.
+    fn find(&self, frame: &RowFrame, rectangles: &[Rectangle], range: Range<usize>, found: &mut Vec<u32>) {
         for index in range {
             // The corners of the box that are least and most along an axis.
-            let square = |axis: usize, is_max: bool| {
-                let m = frame.row_from_lattice[axis];
-                let raw = (0..3).fold(frame.offset[axis], |sum, i| {
-                    let corner = if (m[i] < 0) ^ is_max { &self.max[i] } else { &self.min[i] };
-                    sum + m[i] * i32::from(corner[index])
-                });
-                raw.clamp(0, (1 << ROW_RAW_BITS) - 1) >> shift
+            let row = |axis: usize, is_max: bool| {
+                let m = frame.matrix[axis];
+                let corner = |i: usize| {
+                    let corners = if (m[i] < 0) ^ is_max { &self.max[i] } else { &self.min[i] };
+                    m[i] * i32::from(corners[index])
+                };
+                frame.row(frame.offset[axis] + corner(0) + corner(1) + corner(2))
             };
-            let columns = (2u64 << square(0, true)) - (1 << square(0, false));
-            let mut rows = square(1, false)..=square(1, true);
-            if rows.any(|v| squares >> (v << SQUARE_BITS) & columns != 0) {
+            let (u_min, u_max) = (row(0, false), row(0, true));
+            if !rectangles.iter().any(|r| r.u[0] <= u_max && u_min <= r.u[1]) {
+                continue;
+            }
+            let (v_min, v_max) = (row(1, false), row(1, true));
+            let is_hit =
+                |r: &Rectangle| r.u[0] <= u_max && u_min <= r.u[1] && r.v[0] <= v_max && v_min <= r.v[1];
+            if rectangles.iter().any(is_hit) {
                 found.push(index as u32);
             }
         }
     }
 }
 
+/// Rows within a square that change: their least and largest u and v.
+#[derive(Clone, Copy)]
+struct Rectangle {
+    u: [u32; 2],
+    v: [u32; 2],
+}
+
+/// A direction's frame, ready for many points. As [`DirectionFrame::voxel`].
+struct RowFrame {
+    matrix: [[i32; 3]; 3],
+    offset: [i32; 3],
+    shift: u32,
+}
+
+impl RowFrame {
+    fn new(frame: &DirectionFrame, bits: u32) -> Self {
+        Self { matrix: frame.row_from_lattice, offset: frame.offset, shift: ROW_RAW_BITS - bits }
+    }
+
+    /// The voxel of a raw coordinate.
+    #[inline(always)]
+    fn row(&self, raw: i32) -> u32 {
+        raw.clamp(0, (1 << ROW_RAW_BITS) - 1) as u32 >> self.shift
+    }
+
+    /// The voxel of a point along an axis.
+    #[inline(always)]
+    fn along(&self, axis: usize, [x, y, z]: [i16; 3]) -> u32 {
+        let m = &self.matrix[axis];
+        let raw = m[0] * i32::from(x) + m[1] * i32::from(y) + m[2] * i32::from(z) + self.offset[axis];
+        self.row(raw)
+    }
+}
+
 impl Change {
-    /// Compares two sets of points, both in Morton order of cells; `None` if they have little in common.
-    pub(crate) fn between(old: &[[i16; 3]], new: &[[i16; 3]]) -> Option<Self> {
-        let sorted = |points: &[[i16; 3]]| {
-            let mut sorted = points.to_vec();
-            sorted.sort_unstable();
-            sorted
-        };
-        let points = only_in_one(&sorted(old), &sorted(new));
-        if points.len() * MOST_CHANGED > new.len() {
+    /// Compares two sets of points; `None` if they have little in common. Cells that were made from the same are not
+    /// looked at.
+    pub(crate) fn between(old: &PointCells, new: &PointCells) -> Option<Self> {
+        let mut points = Vec::new();
+        let (mut a, mut b) = (old.ranges().peekable(), new.ranges().peekable());
+        loop {
+            let code =
+                |cell: Option<&(&PointCell, Range<usize>)>| cell.map_or(u32::MAX, |(cell, _)| cell.code);
+            let first = code(a.peek()).min(code(b.peek()));
+            if first == u32::MAX {
+                break;
+            }
+            let of_old = a.next_if(|(cell, _)| cell.code == first);
+            let of_new = b.next_if(|(cell, _)| cell.code == first);
+            let is_same = |a: &PointCell, b: &PointCell| a.digest == b.digest;
+            if of_old.as_ref().zip(of_new.as_ref()).is_some_and(|((a, _), (b, _))| is_same(a, b)) {
+                continue;
+            }
+            let sorted = |cells: &PointCells, range: Option<Range<usize>>| {
+                let mut points = range.map_or(Vec::new(), |range| cells.points[range].to_vec());
+                points.sort_unstable();
+                points
+            };
+            let of_old = sorted(old, of_old.map(|(_, range)| range));
+            let of_new = sorted(new, of_new.map(|(_, range)| range));
+            points.extend(only_in_one(&of_old, &of_new));
+        }
+        if points.len() * MOST_CHANGED > new.points.len() {
             return None;
         }
-        let clusters = Boxes::around(new, CLUSTER);
-        let groups = Boxes::around(new, CLUSTER * GROUP);
+        let clusters = Boxes::around(&new.points, CLUSTER);
+        let groups = Boxes::around(&new.points, CLUSTER * GROUP);
         Some(Self { points, clusters, groups })
     }
 
@@ -146,6 +204,8 @@ struct Patch<'a> {
     touched: Vec<u64>,
     /// Touched rows, in the order they were met.
     list: Vec<u32>,
+    /// What touched rows span in each square that has some.
+    rectangles: Vec<Rectangle>,
     groups: Vec<u32>,
     clusters: Vec<u32>,
 }
@@ -155,7 +215,7 @@ impl<'a> Patch<'a> {
         let bits = plan.info().bits;
         let touched = vec![0; 1 << (2 * bits - 6)];
         let (rows, list, groups, clusters) = Default::default();
-        Self { change, plan, bits, rows, touched, list, groups, clusters }
+        Self { change, plan, bits, rows, touched, list, rectangles: Vec::new(), groups, clusters }
     }
 
     /// Changes the directions that share some tiles.
@@ -170,7 +230,6 @@ impl<'a> Patch<'a> {
         let tile_words = TILE_BYTES / 4;
         let row_words = 1usize << (self.bits - 5);
         let mut rows = std::mem::take(&mut self.rows);
-        rows.clear();
         rows.resize(words * frames.len(), 0);
         let mut is_read = vec![false; tiles.len()];
         let mut read = |tile: usize, rows: &mut [u32]| {
@@ -178,6 +237,8 @@ impl<'a> Patch<'a> {
                 return Ok(());
             }
             let end = rows.len().min((tile + 1) * tile_words);
+            // From the directions before.
+            rows[tile * tile_words..end].fill(0);
             editor.read(tiles.start + tile, bytemuck::cast_slice_mut(&mut rows[tile * tile_words..end]))
         };
         for (number, (frame, old_frame)) in frames.iter().zip(old_frames).enumerate() {
@@ -190,13 +251,14 @@ impl<'a> Patch<'a> {
                 rows[start..start + words].copy_from_slice(&self.plan.block(std::slice::from_ref(frame)));
                 continue;
             }
-            let squares = self.touch(frame);
+            let frame = RowFrame::new(frame, self.bits);
+            self.touch(&frame);
             for &row in &self.list {
                 let at = start + row as usize * row_words;
                 read(at / tile_words, &mut rows)?;
                 rows[at..at + row_words].fill(0);
             }
-            self.fill(frame, squares, &mut rows[start..start + words]);
+            self.fill(&frame, &mut rows[start..start + words]);
         }
         for (tile, _) in is_read.iter().enumerate().filter(|(_, is_read)| **is_read) {
             let end = rows.len().min((tile + 1) * tile_words);
@@ -207,45 +269,49 @@ impl<'a> Patch<'a> {
         Ok(())
     }
 
-    /// Notes the rows that a point has come to or gone from; their squares.
-    fn touch(&mut self, frame: &DirectionFrame) -> u64 {
+    /// Notes the rows that a point has come to or gone from.
+    fn touch(&mut self, frame: &RowFrame) {
         let shift = self.bits - SQUARE_BITS;
         self.touched.fill(0);
         self.list.clear();
-        let mut squares = 0u64;
+        let mut squares: [Option<Rectangle>; 1 << (2 * SQUARE_BITS)] = [None; _];
         for &point in &self.change.points {
-            let [u, v, _] = frame.voxel(point, self.bits);
+            let (u, v) = (frame.along(0, point), frame.along(1, point));
             let row = v << self.bits | u;
             let (word, bit) = ((row / 64) as usize, 1u64 << (row % 64));
             if self.touched[word] & bit == 0 {
                 self.touched[word] |= bit;
                 self.list.push(row);
-                squares |= 1 << ((v >> shift) << SQUARE_BITS | (u >> shift));
+                let square = &mut squares[((v >> shift) << SQUARE_BITS | (u >> shift)) as usize];
+                let r = square.get_or_insert(Rectangle { u: [u; 2], v: [v; 2] });
+                r.u = [r.u[0].min(u), r.u[1].max(u)];
+                r.v = [r.v[0].min(v), r.v[1].max(v)];
             }
         }
-        squares
+        self.rectangles.clear();
+        self.rectangles.extend(squares.into_iter().flatten());
     }
 
     /// Sets the bits of all points in touched rows.
-    fn fill(&mut self, frame: &DirectionFrame, squares: u64, rows: &mut [u32]) {
+    fn fill(&mut self, frame: &RowFrame, rows: &mut [u32]) {
         let change = self.change;
         let (groups, clusters) = (&mut self.groups, &mut self.clusters);
         groups.clear();
-        change.groups.find(frame, squares, 0..change.groups.len(), groups);
+        change.groups.find(frame, &self.rectangles, 0..change.groups.len(), groups);
         clusters.clear();
         for &group in groups.iter() {
             let start = group as usize * GROUP;
             let end = change.clusters.len().min(start + GROUP);
-            change.clusters.find(frame, squares, start..end, clusters);
+            change.clusters.find(frame, &self.rectangles, start..end, clusters);
         }
         let row_words = 1usize << (self.bits - 5);
         let points = self.plan.points();
         for &cluster in clusters.iter() {
             let start = cluster as usize * CLUSTER;
             for &point in &points[start..points.len().min(start + CLUSTER)] {
-                let [u, v, w] = frame.voxel(point, self.bits);
-                let row = (v << self.bits | u) as usize;
+                let row = (frame.along(1, point) << self.bits | frame.along(0, point)) as usize;
                 if self.touched[row / 64] >> (row % 64) & 1 == 1 {
+                    let w = frame.along(2, point);
                     rows[row * row_words + (w >> 5) as usize] |= 1 << (w & 31);
                 }
             }
@@ -260,6 +326,7 @@ mod tests {
     use crate::rows::{RowsFrom, RowsOptions};
     use crate::rows_frames::fit_frames;
     use crate::triangles::{Cutouts, LatticeTriangles};
+    use manyview_cache::digest::Digest;
     use manyview_shaders::directions::{DirectionSet, Fit, RowLattice};
     use proptest::prelude::*;
 
@@ -273,6 +340,18 @@ mod tests {
         let mut points: Vec<_> = (0..count).map(|_| [coordinate(), coordinate(), coordinate()]).collect();
         points.sort_unstable_by_key(|p| crate::octree::morton(crate::points::cell_code(*p, 8)));
         points
+    }
+
+    /// The points by coarse cells; a cell's identity is that of its points.
+    fn cells(points: &[[i16; 3]]) -> PointCells {
+        let code = |p: &[i16; 3]| crate::octree::morton(crate::points::cell_code(*p, 4));
+        let cell = |points: &[[i16; 3]]| PointCell {
+            code: code(&points[0]),
+            count: points.len() as u32,
+            digest: Digest::of(bytemuck::cast_slice(points)),
+        };
+        let cells = points.chunk_by(|a, b| code(a) == code(b)).map(cell).collect();
+        PointCells { cells, points: points.to_vec() }
     }
 
     proptest! {
@@ -299,7 +378,7 @@ mod tests {
             };
             let (old_plan, new_plan) = (plan(&old), plan(&new));
             let old_chunk = RowsPlan::compress(&old_plan.block(&old_plan.frames));
-            let change = Change::between(&old, &new).expect("most is the same");
+            let change = Change::between(&cells(&old), &cells(&new)).expect("most is the same");
             let patched = change.patch(&new_plan, &new_plan.frames, &old_plan.frames, &old_chunk).unwrap();
             prop_assert!(patched == RowsPlan::compress(&new_plan.block(&new_plan.frames)));
         }
@@ -307,7 +386,8 @@ mod tests {
 
     #[test]
     fn sets_with_little_in_common_are_not_patched() {
-        assert!(Change::between(&points(1, 1000), &points(2, 1000)).is_none());
-        assert_eq!(Change::between(&points(1, 1000), &points(1, 1000)).map(|c| c.points.len()), Some(0));
+        let [a, b] = [1, 2].map(|seed| cells(&points(seed, 1000)));
+        assert!(Change::between(&a, &b).is_none());
+        assert_eq!(Change::between(&a, &a).map(|c| c.points.len()), Some(0));
     }
 }

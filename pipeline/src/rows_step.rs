@@ -175,7 +175,7 @@ impl RowsJob<'_> {
                     Some(frames) => frames,
                     None => steps.find(FRAMES, &last.frames_key, load_frames)?,
                 };
-                let change = Change::between(&last_points?.points, &surface.points)?;
+                let change = Change::between(&last_points?, &surface)?;
                 Some(Base { frames, input: last.input, change })
             },
         );
@@ -308,7 +308,7 @@ pub struct RowsRun<'a> {
 
 impl RowsRun<'_> {
     /// Finds or makes all blocks and appends the sections `rows.frames` and `rows.bits`; `head` has gone before.
-    pub fn write<W: Write + Seek>(&self, writer: &mut ArchiveWriter<W>) -> Result<u64, BakeError> {
+    pub fn write<W: Write + Seek + Send>(&self, writer: &mut ArchiveWriter<W>) -> Result<u64, BakeError> {
         let (job, prepared) = (self.job, &self.prepared);
         let empty = (LatticeTriangles::default(), Cutouts::default());
         let (triangles, cutouts) = if job.options.from == RowsFrom::Peel { job.triangles() } else { empty };
@@ -330,28 +330,40 @@ impl RowsRun<'_> {
             })
             .collect();
         let wave = if job.device.is_some() { 1 } else { rayon::current_num_threads() };
-        let mut item = 0;
-        for packs in packs.chunks(wave) {
+        let make = |packs: &[Pack<'_>]| -> Result<Vec<Vec<CompressedChunk>>, BakeError> {
             let make = |pack: &Pack<'_>, waits| self.make(pack, &plan, block_directions, waits);
             let mut results: Vec<Option<Vec<CompressedChunk>>> =
                 packs.par_iter().map(|pack| make(pack, false)).collect::<Result<_, _>>()?;
+            // What other processes were at: theirs by now, or ours.
             for (pack, result) in packs.iter().zip(&mut results) {
-                let chunks = match result.take() {
-                    Some(chunks) => chunks,
-                    None => make(pack, true)?.unwrap_or_default(),
-                };
-                for chunk in &chunks {
-                    writer.begin_section(name::ROWS_BITS, item)?;
-                    writer.append(chunk)?;
-                    item += 1;
+                if result.is_none() {
+                    *result = make(pack, true)?;
                 }
             }
+            Ok(results.into_iter().flatten().collect())
+        };
+        let mut item = 0;
+        let mut write = |packs: Vec<Vec<CompressedChunk>>| -> Result<(), BakeError> {
+            for chunk in packs.iter().flatten() {
+                writer.begin_section(name::ROWS_BITS, item)?;
+                writer.append(chunk)?;
+                item += 1;
+            }
+            Ok(())
+        };
+        // One wave is written while the next is made.
+        let mut made = Vec::new();
+        for packs in packs.chunks(wave) {
+            let (next, written) = rayon::join(|| make(packs), || write(std::mem::take(&mut made)));
+            written?;
+            made = next?;
         }
+        write(made)?;
         Ok(plan.point_count() as u64)
     }
 
     /// Appends `rows.info`.
-    pub fn write_info<W: Write + Seek>(&self, writer: &mut ArchiveWriter<W>) -> Result<(), BakeError> {
+    pub fn write_info<W: Write + Seek + Send>(&self, writer: &mut ArchiveWriter<W>) -> Result<(), BakeError> {
         let (triangles, cutouts) = Default::default();
         let plan =
             RowsPlan::with_frames(self.job.options, self.job.lattice, &triangles, &cutouts, vec![], vec![]);

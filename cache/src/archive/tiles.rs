@@ -63,10 +63,13 @@ impl Tile {
         Self { kind, stored, digest }
     }
 
-    fn head(&self) -> [u8; 4] {
-        ((self.kind as u32) << 30 | self.stored.len() as u32).to_le_bytes()
+    fn part(&self) -> Part<'_> {
+        (self.kind, &self.stored, self.digest)
     }
 }
+
+/// A tile, wherever its bytes are.
+type Part<'a> = (Kind, &'a [u8], ChainingValue);
 
 /// How many tiles content of this size has.
 pub(super) fn tile_count(raw_bytes: usize) -> usize {
@@ -106,24 +109,27 @@ pub(super) fn encode(raw: &[u8], level: i32) -> Option<(Vec<u8>, Digest, Vec<Cha
         let range = tile_range(index, raw.len());
         Tile::encode(&raw[range.clone()], range.start, level)
     };
-    join((0..tile_count(raw.len())).map(tile), raw.len(), || Digest::of(raw))
+    let tiles: Vec<Tile> = (0..tile_count(raw.len())).map(tile).collect();
+    join(&tiles.iter().map(Tile::part).collect::<Vec<_>>(), raw.len(), || Digest::of(raw))
 }
 
 fn join(
-    tiles: impl Iterator<Item = Tile>,
+    tiles: &[Part<'_>],
     raw_bytes: usize,
     raw_digest: impl FnOnce() -> Digest,
 ) -> Option<(Vec<u8>, Digest, Vec<ChainingValue>)> {
-    let count = tile_count(raw_bytes);
-    let mut stored = vec![0; count * 4];
-    let mut digests = Vec::with_capacity(count);
-    for (index, tile) in tiles.enumerate() {
-        stored[index * 4..index * 4 + 4].copy_from_slice(&tile.head());
-        stored.extend(&tile.stored);
-        digests.push(tile.digest);
+    let bytes = tiles.iter().map(|(_, stored, _)| stored.len() + 4).sum();
+    if bytes >= raw_bytes {
+        return None;
     }
+    let mut stored = Vec::with_capacity(bytes);
+    for (kind, bytes, _) in tiles {
+        stored.extend(((*kind as u32) << 30 | bytes.len() as u32).to_le_bytes());
+    }
+    tiles.iter().for_each(|(_, bytes, _)| stored.extend_from_slice(bytes));
+    let digests: Vec<ChainingValue> = tiles.iter().map(|(_, _, digest)| *digest).collect();
     let digest = content_digest(&digests, raw_digest);
-    (stored.len() < raw_bytes).then_some((stored, digest, digests))
+    Some((stored, digest, digests))
 }
 
 /// Each tile of a stored form: how, and its bytes. Sizes are checked.
@@ -224,12 +230,11 @@ impl<'a> TileEditor<'a> {
     pub fn finish(self) -> Option<CompressedChunk> {
         let digests = self.old.tile_digests();
         let raw_bytes = self.old.raw_bytes() as usize;
-        let tiles =
-            self.new.into_iter().zip(self.tiles).zip(digests).map(|((new, (kind, stored)), digest)| {
-                new.unwrap_or_else(|| Tile { kind, stored: stored.to_vec(), digest: *digest })
-            });
+        let old = self.tiles.iter().zip(digests).map(|((kind, stored), digest)| (*kind, *stored, *digest));
+        let tiles: Vec<Part<'_>> =
+            self.new.iter().zip(old).map(|(new, old)| new.as_ref().map_or(old, Tile::part)).collect();
         // There are at least two tiles, so nobody asks for the digest of the whole.
-        let (stored, digest, digests) = join(tiles, raw_bytes, || self.old.raw_digest())?;
+        let (stored, digest, digests) = join(&tiles, raw_bytes, || self.old.raw_digest())?;
         Some(CompressedChunk::of_tiles(stored, raw_bytes, digest, digests))
     }
 }

@@ -33,6 +33,10 @@ pub(super) fn check(bytes: &[u8], key: &Digest) -> Result<(), String> {
     let Some((head, content)) = bytes.split_at_checked(HEADER_BYTES) else {
         return Err(format!("it has {} bytes, less than its header", bytes.len()));
     };
+    check_parts(head, content, key)
+}
+
+fn check_parts(head: &[u8], content: &[u8], key: &Digest) -> Result<(), String> {
     if head[..8] != MAGIC {
         return Err("it does not begin like an entry".to_owned());
     }
@@ -63,12 +67,16 @@ pub(super) fn read(path: &Path, key: &Digest) -> Result<Option<Vec<u8>>, String>
         Err(error) if error.kind() == ErrorKind::NotFound => return Ok(None),
         Err(error) => return Err(error.to_string()),
     };
-    let mut bytes = Vec::new();
-    let size = file.metadata().map_or(0, |metadata| metadata.len());
-    bytes.try_reserve_exact(size as usize).map_err(|_| format!("{size} bytes are too many"))?;
-    file.read_to_end(&mut bytes).map_err(|error| error.to_string())?;
-    check(&bytes, key)?;
+    let size = file.metadata().map_or(0, |metadata| metadata.len()) as usize;
+    let Some(content_size) = size.checked_sub(HEADER_BYTES) else {
+        return Err(format!("it has {size} bytes, less than its header"));
+    };
+    let mut content = Vec::new();
+    content.try_reserve_exact(content_size).map_err(|_| format!("{size} bytes are too many"))?;
+    let mut head = [0; HEADER_BYTES];
+    file.read_exact(&mut head).map_err(|error| error.to_string())?;
+    file.read_to_end(&mut content).map_err(|error| error.to_string())?;
+    check_parts(&head, &content, key)?;
     super::touch(file.file());
-    bytes.drain(..HEADER_BYTES);
-    Ok(Some(bytes))
+    Ok(Some(content))
 }
