@@ -72,7 +72,7 @@ fn apply(edit: &Edit, scene: &mut Scene, options: &mut BakeOptions) {
     let rows = options.rows.as_mut().expect("with rows");
     match *edit {
         Edit::Move(i, p) => {
-            scene.instances[i % instances].world_from_object.w_axis = DVec3::from(p).extend(1.0)
+            scene.instances[i % instances].world_from_object.w_axis = DVec3::from(p).extend(1.0);
         }
         Edit::Turn(i, angle) => {
             let matrix = &mut scene.instances[i % instances].world_from_object;
