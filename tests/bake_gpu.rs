@@ -74,7 +74,11 @@ fn bake(folder: &Path, backend: &str, arguments: &[&str]) -> Result<Vec<u8>, Fai
         }
     }
     all.extend(arguments);
-    let output = Command::new(env!("CARGO_BIN_EXE_manyview")).current_dir(folder).args(&all).output()?;
+    let output = Command::new(env!("CARGO_BIN_EXE_manyview"))
+        .env("MANYVIEW_CACHE", "")
+        .current_dir(folder)
+        .args(&all)
+        .output()?;
     if !output.status.success() {
         return Err(format!("{all:?}: {}", String::from_utf8_lossy(&output.stderr)).into());
     }

@@ -11,6 +11,8 @@ use std::fs::TryLockError;
 use std::io::{self, BufWriter, ErrorKind, Seek, SeekFrom, Write};
 use std::path::{Path, PathBuf};
 use std::sync::atomic::{AtomicU64, Ordering};
+use std::sync::mpsc::{SyncSender, sync_channel};
+use std::thread::JoinHandle;
 
 /// The ending of unfinished files.
 const PART_SUFFIX: &str = ".mvpart";
@@ -65,6 +67,38 @@ pub struct AtomicFile {
     output: PathBuf,
     /// The path to replace: `output`, or what it links to.
     target: PathBuf,
+    /// Bytes written since the disk was last asked to take them.
+    unsynced: usize,
+    early: Option<EarlySync>,
+}
+
+/// A file that grows is put on disk piece by piece while the next piece is being made: a large one would else keep its
+/// maker waiting at the end.
+struct EarlySync {
+    requests: SyncSender<()>,
+    thread: JoinHandle<()>,
+}
+
+/// Pieces of this size are worth waking the disk for.
+const EARLY_SYNC_BYTES: usize = 24 << 20;
+
+impl EarlySync {
+    fn start(file: &fs_err::File) -> Option<Self> {
+        let file = file.file().try_clone().ok()?;
+        let (requests, inbox) = sync_channel::<()>(1);
+        let thread = std::thread::spawn(move || {
+            for () in inbox {
+                // Only a head start: the sync that counts comes at the end.
+                _ = file.sync_data();
+            }
+        });
+        Some(Self { requests, thread })
+    }
+
+    fn finish(self) {
+        drop(self.requests);
+        _ = self.thread.join();
+    }
 }
 
 impl AtomicFile {
@@ -82,7 +116,7 @@ impl AtomicFile {
         remove_stale_parts(folder, name);
         let (part, file) = create_part(folder, name).map_err(fail("create it"))?;
         let file = BufWriter::with_capacity(BUFFER_BYTES, file);
-        Ok(Self { file: Some(file), part, output: output.to_owned(), target })
+        Ok(Self { file: Some(file), part, output: output.to_owned(), target, unsynced: 0, early: None })
     }
 
     /// The path of the output.
@@ -102,6 +136,10 @@ impl AtomicFile {
     fn try_commit(&mut self) -> Result<(), (&'static str, io::Error)> {
         let file = self.writer().map_err(|e| ("write it", e))?;
         file.flush().map_err(|e| ("write it", e))?;
+        if let Some(early) = self.early.take() {
+            early.finish();
+        }
+        let file = self.writer().map_err(|e| ("write it", e))?;
         file.get_ref().sync_all().map_err(|e| ("write it to disk", e))?;
         fs_err::rename(&self.part, &self.target).map_err(|e| ("replace it", e))?;
         // From here on the output is the new one; the lock goes with the file handle.
@@ -113,7 +151,26 @@ impl AtomicFile {
         self.file.as_mut().ok_or_else(|| io::Error::other("the file was already finished"))
     }
 
+    /// Asks the disk to begin with what is written, where there is much.
+    fn sync_early(&mut self, written: usize) {
+        self.unsynced += written;
+        if self.unsynced < EARLY_SYNC_BYTES {
+            return;
+        }
+        self.unsynced = 0;
+        if self.early.is_none() {
+            self.early = self.file.as_ref().and_then(|file| EarlySync::start(file.get_ref()));
+        }
+        if let Some(early) = &self.early {
+            // While it is at work on one piece, the next may grow.
+            _ = early.requests.try_send(());
+        }
+    }
+
     fn abandon(&mut self) {
+        if let Some(early) = self.early.take() {
+            early.finish();
+        }
         if let Some(file) = self.file.take() {
             // Without its buffer: nobody will read it.
             let (file, _) = file.into_parts();
@@ -132,7 +189,9 @@ impl Drop for AtomicFile {
 
 impl Write for AtomicFile {
     fn write(&mut self, bytes: &[u8]) -> io::Result<usize> {
-        self.writer()?.write(bytes)
+        let written = self.writer()?.write(bytes)?;
+        self.sync_early(written);
+        Ok(written)
     }
 
     fn flush(&mut self) -> io::Result<()> {
@@ -281,6 +340,22 @@ mod tests {
             assert_eq!(fs_err::read_to_string(&path).unwrap(), content);
             assert_eq!(names(folder.path()), ["out.bin"]);
         }
+    }
+
+    #[test]
+    fn large_files_are_whole_too() {
+        let folder = tempfile::tempdir().unwrap();
+        let path = folder.path().join("out.bin");
+        let piece: Vec<u8> = (0..EARLY_SYNC_BYTES / 2 + 1).map(|i| (i * 7) as u8).collect();
+        let mut file = AtomicFile::create(&path).unwrap();
+        (0..5).for_each(|_| file.write_all(&piece).unwrap());
+        assert!(file.early.is_some());
+        file.commit().unwrap();
+        assert!(fs_err::read(&path).unwrap() == piece.repeat(5));
+        let mut file = AtomicFile::create(&path).unwrap();
+        (0..3).for_each(|_| file.write_all(&piece).unwrap());
+        drop(file);
+        assert_eq!(names(folder.path()), ["out.bin"]);
     }
 
     #[test]

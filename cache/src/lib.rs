@@ -1,8 +1,9 @@
-//! Bytes at rest: the archive container, digests and atomic files. Knows nothing of voxels.
+//! Bytes at rest: the archive container, digests, atomic files, and the store. Knows nothing of voxels.
 //!
 //! - [`archive`]: the container `.mvb`, described below.
 //! - [`atomic`]: output files that are either complete or absent.
 //! - [`digest`]: BLAKE3 digests, and the stable encoding of keys.
+//! - [`store`]: results of steps under the digests of what they were made from.
 //!
 //! ```
 //! use manyview_cache::archive::{Archive, ArchiveWriter};
@@ -78,7 +79,7 @@
 //! | 8 | 4 | stored size |
 //! | 12 | 4 | raw size, 1 to 4 MiB |
 //! | 16 | 32 | digest of the stored bytes |
-//! | 48 | 1 | codec: 0 raw (stored = raw size), 1 one zstd frame (stored < raw size), 2 one zstd frame of the sparse form ([`archive::sparse`]; stored < raw size) |
+//! | 48 | 1 | codec: 0 raw (stored = raw size), 1 one zstd frame (stored < raw size), 2 one zstd frame of the sparse form ([`archive::sparse`]; stored < raw size), 3 tiles ([`archive::tiles`]; stored < raw size). A reader that does not know a codec says so |
 //! | 49 | 7 | reserved, 0 |
 //!
 //! The last 16 bytes, as rkyv writes two vectors:
@@ -95,3 +96,4 @@
 pub mod archive;
 pub mod atomic;
 pub mod digest;
+pub mod store;

@@ -39,6 +39,11 @@ pub struct Appearance<'s> {
 impl<'s> Appearance<'s> {
     /// Prepares filtered textures for voxels of the given edge, in metres.
     pub fn new(scene: &'s Scene, voxel_size: f64) -> Self {
+        Self::of_meshes(scene, voxel_size, |_| true)
+    }
+
+    /// As [`new`](Self::new), for those meshes that `is_wanted` tells by their index; the others must not be asked for.
+    pub fn of_meshes(scene: &'s Scene, voxel_size: f64, is_wanted: impl Fn(usize) -> bool) -> Self {
         #[derive(Clone, Copy, Default)]
         struct Use {
             base_color: bool,
@@ -51,16 +56,18 @@ impl<'s> Appearance<'s> {
         for instance in &scene.instances {
             drawn[instance.mesh as usize] = true;
         }
-        for mesh in scene.meshes.iter().zip(drawn).filter_map(|(mesh, drawn)| drawn.then_some(mesh)) {
+        for (index, mesh) in scene.meshes.iter().enumerate().filter(|(index, _)| drawn[*index]) {
             let material = material_of(scene, mesh);
+            // How a texture is filtered follows from all meshes; whether it is needed, from the wanted ones.
+            let is_wanted = is_wanted(index);
             if let Some(t) = material.base_color_texture {
-                uses[t as usize].base_color = true;
+                uses[t as usize].base_color |= is_wanted;
                 uses[t as usize].weighted |= material.alpha_mode.cutoff().is_some();
             }
             if material.emissive.max_element() > 0.0 {
                 emits = true;
                 if let Some(t) = material.emissive_texture {
-                    uses[t as usize].emissive = true;
+                    uses[t as usize].emissive |= is_wanted;
                 }
             }
         }

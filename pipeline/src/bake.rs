@@ -3,21 +3,21 @@
 //! `triangles → peel → octree, rows → archive` (ARCHITECTURE.md). The archive's bytes depend on the scene and on
 //! [`BakeOptions`] alone, not on threads, backend, machine or time.
 
-use crate::appearance::Appearance;
 use crate::cube::SceneCube;
 use crate::estimate::Estimate;
-use crate::octree::{self, Brick, Bricks, brick_fragments};
-use crate::rows::{RowsOptions, RowsPlan};
+use crate::regions::{OctreeJob, RegionGrid};
+use crate::rows::RowsOptions;
+use crate::rows_step::RowsJob;
+use crate::runs::Runs;
 use crate::scene::Scene;
 use crate::sections;
-use crate::triangles::{Cutouts, LatticeTriangles};
+use crate::steps::Steps;
 use manyview_cache::archive::{ArchiveError, ArchiveWriter};
 use manyview_shaders::device::{DeviceError, PackedFragment, VoxelDevice};
 use manyview_shaders::directions::{DirectionSet, Fit, RowLattice};
 use manyview_shaders::raster::{Grid, VoxelBox};
-use manyview_shaders::sections::{SceneInfo, name};
-use manyview_shaders::svo::{MAX_LEVELS, Svo};
-use rayon::prelude::*;
+use manyview_shaders::sections::{SceneInfo, SvoInfo};
+use manyview_shaders::svo::MAX_LEVELS;
 use std::io::{Seek, Write};
 use std::ops::RangeInclusive;
 use thiserror::Error;
@@ -218,13 +218,15 @@ pub struct BakeReport {
 pub(crate) struct Placement {
     pub(crate) info: SceneInfo,
     pub(crate) cube: SceneCube,
+    pub(crate) runs: Runs,
 }
 
 impl Placement {
     pub(crate) fn new(scene: &Scene, options: &BakeOptions) -> Result<Self, BakeError> {
         options.check()?;
         let triangles = scene.drawn_triangles();
-        let (min, max) = match scene.bounds() {
+        let runs = Runs::new(scene);
+        let (min, max) = match runs.bounds() {
             Some(bounds) if triangles > 0 => (bounds.0.to_array(), bounds.1.to_array()),
             _ => return Err(BakeError::Empty { warnings: scene.warnings.clone() }),
         };
@@ -245,20 +247,45 @@ impl Placement {
             bounds_min: min,
             bounds_max: max,
         };
-        Ok(Self { info, cube })
+        Ok(Self { info, cube, runs })
     }
 }
 
 /// Bakes `scene` into `writer`, which the caller finishes. Work that a GPU can do runs on `device` if there is one.
-pub fn bake<W: Write + Seek>(
+pub fn bake<W: Write + Seek + Send>(
     scene: &Scene,
     options: &BakeOptions,
     device: Option<&dyn VoxelDevice>,
     writer: &mut ArchiveWriter<W>,
     progress: &dyn Progress,
 ) -> Result<BakeReport, BakeError> {
-    let placement = Placement::new(scene, options)?;
-    let Placement { info, cube } = placement;
+    bake_with(scene, options, device, &Steps::without_store(), writer, progress)
+}
+
+/// As [`bake`], with the results of steps that a store has. The bytes are the same.
+pub fn bake_with<W: Write + Seek + Send>(
+    scene: &Scene,
+    options: &BakeOptions,
+    device: Option<&dyn VoxelDevice>,
+    steps: &Steps,
+    writer: &mut ArchiveWriter<W>,
+    progress: &dyn Progress,
+) -> Result<BakeReport, BakeError> {
+    bake_placed(scene, options, &Placement::new(scene, options)?, device, steps, writer, progress)
+}
+
+/// As [`bake_with`], of a scene whose place is known.
+pub(crate) fn bake_placed<W: Write + Seek + Send>(
+    scene: &Scene,
+    options: &BakeOptions,
+    placement: &Placement,
+    device: Option<&dyn VoxelDevice>,
+    steps: &Steps,
+    writer: &mut ArchiveWriter<W>,
+    progress: &dyn Progress,
+) -> Result<BakeReport, BakeError> {
+    let Placement { info, cube, runs } = placement;
+    let cube = *cube;
     let estimate = Estimate::new(scene, options, cube);
     progress.estimate(&estimate);
     if estimate.peak_bytes > options.max_memory_bytes {
@@ -273,121 +300,54 @@ pub fn bake<W: Write + Seek>(
     }
     let clock = std::time::Instant::now();
     let mut seconds = [0.0; 3];
-    sections::write_scene(writer, &info, &sections::lights(scene))?;
-    let cutouts = Cutouts::new(scene);
-    let grid = Grid::new(options.levels);
-    progress.begin("triangles", info.triangles, "triangles");
-    let triangles = LatticeTriangles::new(scene, &cutouts, |p| cube.snap(grid, p.to_array()));
-    progress.advance(info.triangles);
-    if triangles.triangles.is_empty() {
-        return Err(BakeError::AllTransparent);
-    }
+    sections::write_scene(writer, info, &sections::lights(scene))?;
+    let grid = RegionGrid { cube, grid: Grid::new(options.levels) };
     seconds[0] += clock.elapsed().as_secs_f64();
 
     let clock = std::time::Instant::now();
-    let svo = build_octree(scene, options, cube, &triangles, &cutouts, device, progress)?;
-    drop(triangles);
-    let stats = svo.validate().map_err(|e| BakeError::Disagreement(e.to_string()))?;
-    sections::write_svo_info(writer, &svo, stats)?;
+    let octree = OctreeJob { scene, runs, options, grid, device, steps, progress }.run()?;
+    sections::write_svo_info(writer, &octree.info)?;
     // Readers want all heads before the long sections, so the octree waits until the rows are planned.
     seconds[1] = clock.elapsed().as_secs_f64();
 
     let clock = std::time::Instant::now();
     let lattice = RowLattice::new(info.bounds_min, info.bounds_max);
-    let (row_triangles, plan);
     let mut points = 0;
-    if let Some(rows) = options.rows {
-        row_triangles = LatticeTriangles::new(scene, &cutouts, |p| lattice.snap(p.to_array()));
-        if progress.cancelled() {
-            return Err(BakeError::Cancelled);
+    let rows_job =
+        options.rows.map(|options| RowsJob { scene, runs, options, lattice, device, steps, progress });
+    let rows = match &rows_job {
+        Some(job) => {
+            if progress.cancelled() {
+                return Err(BakeError::Cancelled);
+            }
+            progress.begin("row points", 1, "sets");
+            let prepared = job.prepare();
+            progress.advance(1);
+            Some(job.run(prepared))
         }
-        progress.begin("row points", 1, "sets");
-        plan = Some(RowsPlan::new(rows, lattice, &row_triangles, &cutouts));
-        progress.advance(1);
-    } else {
-        plan = None;
+        None => None,
+    };
+    if let Some(rows) = &rows {
+        rows.write_info(writer)?;
     }
-    if let Some(plan) = &plan {
-        points = plan.point_count() as u64;
-        writer.begin_section(name::ROWS_INFO, 0)?;
-        writer.append_raw(bytemuck::bytes_of(&plan.info()))?;
-    }
-    sections::write_svo(writer, &svo)?;
-    drop(svo);
-    if let Some(plan) = &plan {
-        writer.begin_section(name::ROWS_FRAMES, 0)?;
-        writer.append_raw(bytemuck::cast_slice(&plan.frames))?;
-        plan.write(writer, device, ROWS_ZSTD_LEVEL, progress)?;
+    octree.write(writer)?;
+    let svo_info = octree.info;
+    drop(octree);
+    if let Some(rows) = &rows {
+        points = rows.write(writer)?;
+        rows.finish();
     }
     seconds[2] = clock.elapsed().as_secs_f64();
-    Ok(BakeReport { triangles: info.triangles, leaves: stats.leaves, nodes: stats.nodes, points, seconds })
-}
-
-/// Rows are sparse: level 1 stores them nearly as small as slow levels do, at several times the speed.
-const ROWS_ZSTD_LEVEL: i32 = 1;
-
-/// Bricks of 64³ keep a brick's bitmap in the first-level cache; a GPU wants more work per job.
-const CPU_BRICK_BITS: u32 = 6;
-const GPU_BRICK_BITS: u32 = 8;
-
-fn build_octree(
-    scene: &Scene,
-    options: &BakeOptions,
-    cube: SceneCube,
-    triangles: &LatticeTriangles,
-    cutouts: &Cutouts,
-    device: Option<&dyn VoxelDevice>,
-    progress: &dyn Progress,
-) -> Result<Svo, BakeError> {
-    let grid = Grid::new(options.levels);
-    let appearance = Appearance::new(scene, cube.size / f64::from(grid.size()));
-    let brick_bits = if device.is_some() { GPU_BRICK_BITS } else { CPU_BRICK_BITS }.min(grid.bits);
-    let bricks = Bricks::new(grid, brick_bits, &triangles.triangles);
-    progress.begin("octree", bricks.len() as u64, "bricks");
-    let finish = |code, fragments, members: &[u32]| {
-        let brick = Brick::new(code, brick_bits, fragments, members, triangles, &appearance);
-        progress.advance(1);
-        brick
-    };
-    let built: Vec<Brick> = match device {
-        None => (0..bricks.len())
-            .into_par_iter()
-            .filter_map(|i| {
-                if progress.cancelled() {
-                    return Some(Err(BakeError::Cancelled));
-                }
-                let (code, clip, members) = bricks.brick(i);
-                let fragments = brick_fragments(grid, &clip, triangles, cutouts, &members);
-                finish(code, fragments, &members).map(Ok)
-            })
-            .collect::<Result<_, _>>()?,
-        Some(device) => {
-            let mut built = Vec::new();
-            for i in 0..bricks.len() {
-                if progress.cancelled() {
-                    return Err(BakeError::Cancelled);
-                }
-                let (code, clip, members) = bricks.brick(i);
-                let part = triangles.part(&members);
-                let batch = part.batch(cutouts);
-                let fragments = device.fragments(grid, &clip, &batch)?;
-                if options.voxels_from == VoxelsFrom::Peel {
-                    let peeled = device.peel(grid, &clip, &batch)?;
-                    same_voxels(&clip, &peeled, &fragments)?;
-                }
-                built.extend(finish(code, fragments, &members));
-            }
-            built
-        }
-    };
-    if built.is_empty() {
-        return Err(BakeError::NoVoxels { levels: options.levels });
-    }
-    Ok(octree::build(cube, grid, brick_bits, built))
+    let SvoInfo { leaves, nodes, .. } = svo_info;
+    Ok(BakeReport { triangles: info.triangles, leaves, nodes, points, seconds })
 }
 
 /// Checks that depth peeling found exactly the voxels that hold a fragment.
-fn same_voxels(clip: &VoxelBox, peeled: &[u32], fragments: &[PackedFragment]) -> Result<(), BakeError> {
+pub(crate) fn same_voxels(
+    clip: &VoxelBox,
+    peeled: &[u32],
+    fragments: &[PackedFragment],
+) -> Result<(), BakeError> {
     let size = [0, 1, 2].map(|i| (clip.max[i] - clip.min[i]) as u32);
     let mut from_fragments = vec![0u32; peeled.len()];
     for fragment in fragments {

@@ -11,11 +11,10 @@
 //! so that neither the brick size nor the order of fragments shows in the result.
 //!
 //! # Practice
-//! [`Bricks::new`] bins triangles, [`Brick::new`] turns one brick's fragments into levels, [`build`] joins them and
+//! [`Bricks::new`] bins triangles, [`Brick::new`] turns one brick's fragments into levels, [`join`] joins them and
 //! adds the levels above ([`crate::reduce`]).
 
 use crate::appearance::{Appearance, EMISSIVE_ONE};
-use crate::cube::SceneCube;
 use crate::reduce::reduce_level;
 use crate::triangles::{Cutouts, LatticeTriangles};
 use manyview_shaders::device::PackedFragment;
@@ -23,7 +22,7 @@ use manyview_shaders::octahedral;
 use manyview_shaders::raster::{Grid, Raster, VoxelBox};
 use manyview_shaders::rgb9e5;
 use manyview_shaders::srgb::srgb_from_linear;
-use manyview_shaders::svo::{Svo, SvoLevel};
+use manyview_shaders::svo::SvoLevel;
 use rayon::prelude::*;
 
 /// Triangles by the bricks of the grid that they may touch.
@@ -78,6 +77,13 @@ impl Bricks {
         self.len() == 0
     }
 
+    /// The bricks whose codes are in `from .. to`.
+    pub fn range(&self, from: u32, to: u32) -> std::ops::Range<usize> {
+        let code = |start: &usize| self.entries.get(*start).map_or(u32::MAX, |entry| (entry >> 32) as u32);
+        let at = |code_of: u32| self.starts[..self.len()].partition_point(|start| code(start) < code_of);
+        at(from)..at(to)
+    }
+
     /// Morton code, box and triangles of brick `index`; bricks come in Morton order.
     pub fn brick(&self, index: usize) -> (u32, VoxelBox, Vec<u32>) {
         let entries = &self.entries[self.starts[index]..self.starts[index + 1]];
@@ -91,7 +97,7 @@ impl Bricks {
 /// Visits the cubic cells of edge `2^shift` that a triangle passes through, and few others: columns of cells along the
 /// axis that the triangle faces most, each from the lowest to the highest point of the plane in it. So the work grows
 /// with the triangle's projected bounds, not with the volume of its bounds.
-fn cells_touched(triangle: &[[i64; 3]; 3], shift: u32, mut visit: impl FnMut([i64; 3])) {
+pub(crate) fn cells_touched(triangle: &[[i64; 3]; 3], shift: u32, mut visit: impl FnMut([i64; 3])) {
     let lo = [0, 1, 2].map(|i| triangle.iter().map(|v| v[i]).min().expect("three vertices") >> shift);
     let hi = [0, 1, 2].map(|i| triangle.iter().map(|v| v[i]).max().expect("three vertices") >> shift);
     let e = |i: usize, c: usize| triangle[i][c] - triangle[0][c];
@@ -280,15 +286,14 @@ impl Brick {
     }
 }
 
-/// Joins bricks (in Morton order) into an octree of depth `grid.bits` over `cube`.
+/// Joins bricks (in Morton order; codes relative to what is joined) into the levels of a cube of depth `bits`.
 ///
 /// # Panics
 /// If there is no brick.
-pub fn build(cube: SceneCube, grid: Grid, brick_bits: u32, bricks: Vec<Brick>) -> Svo {
+pub fn join(bits: u32, brick_bits: u32, bricks: Vec<Brick>) -> Vec<SvoLevel> {
     assert!(!bricks.is_empty(), "an octree has at least one voxel");
-    let depth = grid.bits as usize;
-    let top = (grid.bits - brick_bits.min(grid.bits)) as usize;
-    let mut levels = vec![SvoLevel::default(); depth + 1];
+    let top = (bits - brick_bits.min(bits)) as usize;
+    let mut levels = vec![SvoLevel::default(); bits as usize + 1];
     let mut codes: Vec<u32> = bricks.iter().map(|b| b.code).collect();
     for brick in bricks {
         for (into, from) in levels[top..].iter_mut().zip(brick.levels) {
@@ -300,10 +305,16 @@ pub fn build(cube: SceneCube, grid: Grid, brick_bits: u32, bricks: Vec<Brick>) -
             into.emissive.extend(from.emissive);
         }
     }
+    build_above(&mut levels, top, &mut codes);
+    levels
+}
+
+/// Makes the levels above level `top`, whose nodes have the Morton codes `codes`.
+pub(crate) fn build_above(levels: &mut [SvoLevel], top: usize, codes: &mut Vec<u32>) {
     for level in (0..top).rev() {
         let mut masks: Vec<u8> = Vec::new();
         let mut parents: Vec<u32> = Vec::new();
-        for code in &codes {
+        for code in codes.iter() {
             if parents.last() != Some(&(code >> 3)) {
                 parents.push(code >> 3);
                 masks.push(0);
@@ -311,9 +322,8 @@ pub fn build(cube: SceneCube, grid: Grid, brick_bits: u32, bricks: Vec<Brick>) -
             *masks.last_mut().expect("pushed above") |= 1 << (code & 7);
         }
         levels[level] = reduce_level(masks, &levels[level + 1]);
-        codes = parents;
+        *codes = parents;
     }
-    Svo { origin: cube.origin, size: cube.size, levels }
 }
 
 /// Morton code of a cell: bit 3i of the result is bit i of x, 3i + 1 of y, 3i + 2 of z; 10 bits each.

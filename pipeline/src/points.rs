@@ -29,7 +29,24 @@ const CHUNK: usize = 4096;
 /// along its longest median, so that wires and blades of grass stay whole. Of several points in one cell the smallest
 /// (by coordinates) is kept, so that the result does not depend on the order of triangles.
 pub fn surface_points(triangles: &LatticeTriangles, cutouts: &Cutouts, bits: u32) -> Vec<[i16; 3]> {
+    sampled_points(triangles, cutouts, bits, |_| true).into_iter().map(|(_, p)| p).collect()
+}
+
+/// log2 of cells a side of the coarse grid that [`sampled_points`] and [`coarse_boxes`] tell cells of.
+pub const POINT_CELL_BITS: u32 = 4;
+
+/// As [`surface_points`], of those cells of the coarse grid alone that `is_wanted` tells by their Morton code; each
+/// point comes with its coarse cell's code.
+pub fn sampled_points(
+    triangles: &LatticeTriangles,
+    cutouts: &Cutouts,
+    bits: u32,
+    is_wanted: impl Fn(u32) -> bool + Sync,
+) -> Vec<(u32, [i16; 3])> {
     let grid = Grid::new(bits);
+    // A coarse cell's code is the front of its finer cells'.
+    let below = 3 * bits.saturating_sub(POINT_CELL_BITS);
+    let coarse = |key: u32| key >> below;
     let mut keyed: Vec<(u32, [i16; 3])> = (0..triangles.triangles.len().div_ceil(CHUNK))
         .into_par_iter()
         .flat_map_iter(|chunk| {
@@ -38,7 +55,10 @@ pub fn surface_points(triangles: &LatticeTriangles, cutouts: &Cutouts, bits: u32
             for index in chunk * CHUNK..end {
                 let mask = triangles.mask(cutouts, index);
                 sample_triangle(grid, &triangles.triangles[index], mask, cutouts, |p| {
-                    points.push((cell_key(p, bits), p));
+                    let key = cell_key(p, bits);
+                    if is_wanted(coarse(key)) {
+                        points.push((key, p));
+                    }
                 });
             }
             points.sort_unstable();
@@ -48,12 +68,18 @@ pub fn surface_points(triangles: &LatticeTriangles, cutouts: &Cutouts, bits: u32
         .collect();
     keyed.par_sort_unstable();
     keyed.dedup_by_key(|(key, _)| *key);
-    keyed.into_iter().map(|(_, p)| p).collect()
+    keyed.iter_mut().for_each(|(key, _)| *key = coarse(*key));
+    keyed
 }
 
 /// Morton code of a lattice point's cell in a grid of `2^bits` cells a side.
 fn cell_key(p: [i16; 3], bits: u32) -> u32 {
-    morton(p.map(|c| ((i32::from(c) + ROW_LATTICE).min(2 * ROW_LATTICE - 1) >> (15 - bits)) as u32))
+    morton(cell_code(p, bits))
+}
+
+/// A lattice point's cell in a grid of `2^bits` cells a side.
+pub(crate) fn cell_code(p: [i16; 3], bits: u32) -> [u32; 3] {
+    p.map(|c| ((i32::from(c) + ROW_LATTICE).min(2 * ROW_LATTICE - 1) >> (15 - bits)) as u32)
 }
 
 fn sample_triangle(
@@ -172,7 +198,7 @@ pub fn voxel_centers(
 /// [`extents_along`](manyview_shaders::directions::extents_along). `points` are in Morton order of finer cells.
 pub fn coarse_boxes(points: &[[i16; 3]]) -> Vec<[[i16; 3]; 2]> {
     points
-        .chunk_by(|a, b| cell_key(*a, 4) == cell_key(*b, 4))
+        .chunk_by(|a, b| cell_key(*a, POINT_CELL_BITS) == cell_key(*b, POINT_CELL_BITS))
         .map(|cell| {
             cell.iter().fold([cell[0]; 2], |[lo, hi], p| {
                 [[0, 1, 2].map(|i| lo[i].min(p[i])), [0, 1, 2].map(|i| hi[i].max(p[i]))]

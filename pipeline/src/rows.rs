@@ -10,22 +10,19 @@
 //! first (`bakes/REPORT.md`).
 //!
 //! # Practice
-//! Directions are independent. A block of them (4 MiB of rows) is voxelized and compressed by one thread; blocks are
-//! written in order, wave by wave, so that memory does not grow with the number of directions.
+//! Directions are independent. A block of them (4 MiB of rows) is voxelized and compressed by one thread. What is
+//! looked up in a store, and what is made, decides [`crate::rows_step`].
 
-use crate::bake::{BakeError, Progress};
+use crate::bake::BakeError;
 use crate::points::{coarse_boxes, surface_points, voxel_centers};
+use crate::rows_frames::fit_frames;
 use crate::triangles::{Cutouts, LatticeTriangles};
-use manyview_cache::archive::{ArchiveWriter, CompressedChunk, MAX_CHUNK_BYTES};
+use manyview_cache::archive::{CompressedChunk, MAX_CHUNK_BYTES};
 use manyview_shaders::device::{VoxelDevice, grid_point};
-use manyview_shaders::directions::{
-    DirectionFrame, DirectionSet, Fit, RowLattice, extents_along, rolled_to_fit,
-};
+use manyview_shaders::directions::{DirectionFrame, DirectionSet, Fit, RowLattice};
 use manyview_shaders::raster::{Grid, Raster, VoxelBox};
 use manyview_shaders::rotate::{SpreadPoints, rotate_points};
-use manyview_shaders::sections::{RowsInfo, name};
-use rayon::prelude::*;
-use std::io::{Seek, Write};
+use manyview_shaders::sections::RowsInfo;
 
 /// How rows are voxelized.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
@@ -102,30 +99,25 @@ impl<'a> RowsPlan<'a> {
         point_bits: u32,
     ) -> Self {
         let surface = surface_points(triangles, cutouts, (options.bits + point_bits).min(MAX_POINT_BITS));
-        let boxes = coarse_boxes(&surface);
-        let set = options.directions;
-        let frames: Vec<_> = (0..set.count())
-            .into_par_iter()
-            .map(|d| {
-                let axes = match options.fit {
-                    Fit::Cube => set.frame(d),
-                    Fit::Extent => rolled_to_fit(set.frame(d), &lattice, &boxes),
-                };
-                DirectionFrame::new(axes, &lattice, options.fit, extents_along(axes, &lattice, &boxes))
-            })
-            .collect();
+        let frames = fit_frames(options, &lattice, &coarse_boxes(&surface));
         let points = match options.from {
             RowsFrom::Peel => Vec::new(),
             RowsFrom::Points => surface,
-            RowsFrom::Rotate => {
-                let radius = lattice.half_extent.iter().map(|h| h * h).sum::<f64>().sqrt();
-                let share = match options.fit {
-                    Fit::Cube => lattice.half_extent.map(|h| h / radius),
-                    Fit::Extent => [1.0; 3],
-                };
-                voxel_centers(triangles, cutouts, options.bits, share)
-            }
+            RowsFrom::Rotate => rotated_centers(options, &lattice, triangles, cutouts),
         };
+        Self::with_frames(options, lattice, triangles, cutouts, points, frames)
+    }
+
+    /// Takes the points that are rotated (none for [`RowsFrom::Peel`]) and the frames of all directions. Only
+    /// [`RowsFrom::Peel`] looks at the triangles.
+    pub fn with_frames(
+        options: RowsOptions,
+        lattice: RowLattice,
+        triangles: &'a LatticeTriangles,
+        cutouts: &'a Cutouts,
+        points: Vec<[i16; 3]>,
+        frames: Vec<DirectionFrame>,
+    ) -> Self {
         let spread = SpreadPoints::new(&points);
         Self { options, lattice, triangles, cutouts, points, spread, frames }
     }
@@ -186,7 +178,11 @@ impl<'a> RowsPlan<'a> {
         rows
     }
 
-    fn block_on(&self, device: &dyn VoxelDevice, frames: &[DirectionFrame]) -> Result<Vec<u32>, BakeError> {
+    pub(crate) fn block_on(
+        &self,
+        device: &dyn VoxelDevice,
+        frames: &[DirectionFrame],
+    ) -> Result<Vec<u32>, BakeError> {
         let rows = match self.options.from {
             RowsFrom::Peel => {
                 device.raster_rows(self.options.bits, frames, &self.triangles.batch(self.cutouts), true)
@@ -198,57 +194,34 @@ impl<'a> RowsPlan<'a> {
         Ok(rows?)
     }
 
-    /// Voxelizes all directions, on `device` if there is one, and appends their `rows.bits` sections.
-    pub fn write<W: Write + Seek>(
-        &self,
-        writer: &mut ArchiveWriter<W>,
-        device: Option<&dyn VoxelDevice>,
-        zstd_level: i32,
-        progress: &dyn Progress,
-    ) -> Result<(), BakeError> {
-        let block_directions = self.info().block_directions as usize;
-        let blocks: Vec<&[DirectionFrame]> = self.frames.chunks(block_directions).collect();
-        progress.begin("rows", self.frames.len() as u64, "directions");
-        let compress = |rows: Vec<u32>| {
-            // The format is little-endian; every target that the bake supports is too.
-            CompressedChunk::compress_sparse(bytemuck::cast_slice(&rows), zstd_level)
-        };
-        // Blocks from a device wait uncompressed, 4 MiB each; those from the CPU, compressed, for blocks before them.
-        let wave = rayon::current_num_threads() * if device.is_some() { 1 } else { 16 };
-        let mut item = 0;
-        for blocks in blocks.chunks(wave) {
-            let chunks: Vec<CompressedChunk> = match device {
-                None => blocks
-                    .par_iter()
-                    .map(|frames| {
-                        if progress.cancelled() {
-                            return Err(BakeError::Cancelled);
-                        }
-                        let chunk = compress(self.block(frames));
-                        progress.advance(frames.len() as u64);
-                        Ok(chunk)
-                    })
-                    .collect::<Result<_, _>>()?,
-                Some(device) => {
-                    let mut rows = Vec::with_capacity(blocks.len());
-                    for frames in blocks {
-                        if progress.cancelled() {
-                            return Err(BakeError::Cancelled);
-                        }
-                        rows.push(self.block_on(device, frames)?);
-                        progress.advance(frames.len() as u64);
-                    }
-                    rows.into_par_iter().map(compress).collect()
-                }
-            };
-            for chunk in chunks {
-                writer.begin_section(name::ROWS_BITS, item)?;
-                writer.append(&chunk)?;
-                item += 1;
-            }
-        }
-        Ok(())
+    /// Compresses a block.
+    pub(crate) fn compress(rows: &[u32]) -> CompressedChunk {
+        // The format is little-endian; every target that the bake supports is too.
+        CompressedChunk::compress_tiles(bytemuck::cast_slice(rows), ROWS_ZSTD_LEVEL)
     }
+}
+
+/// Tiles of rows are small: level 3 stores them 3 % smaller than level 1 and hardly slower, slower levels little smaller.
+pub(crate) const ROWS_ZSTD_LEVEL: i32 = 3;
+
+/// The points per voxel edge of the rows' points, as log2 of cells a side of their whole grid.
+pub(crate) fn point_bits(options: RowsOptions) -> u32 {
+    (options.bits + POINT_BITS_ABOVE_VOXELS).min(MAX_POINT_BITS)
+}
+
+/// The points of [`RowsFrom::Rotate`].
+pub(crate) fn rotated_centers(
+    options: RowsOptions,
+    lattice: &RowLattice,
+    triangles: &LatticeTriangles,
+    cutouts: &Cutouts,
+) -> Vec<[i16; 3]> {
+    let radius = lattice.half_extent.iter().map(|h| h * h).sum::<f64>().sqrt();
+    let share = match options.fit {
+        Fit::Cube => lattice.half_extent.map(|h| h / radius),
+        Fit::Extent => [1.0; 3],
+    };
+    voxel_centers(triangles, cutouts, options.bits, share)
 }
 
 fn raster_direction(

@@ -1,10 +1,9 @@
-//! Writing the octree's and the scene's sections; their layout is in [`manyview_shaders::sections`].
+//! Writing the heads of the archive's sections; their layout is in [`manyview_shaders::sections`].
 
 use crate::bake::BakeError;
 use crate::scene::{LightKind, Scene};
 use manyview_cache::archive::ArchiveWriter;
 use manyview_shaders::sections::{Light, SceneInfo, SvoInfo, name};
-use manyview_shaders::svo::{Svo, SvoStats};
 use std::io::{Seek, Write};
 
 /// The lights of a scene as the archive keeps them.
@@ -48,50 +47,15 @@ pub fn write_scene<W: Write + Seek>(
 /// Appends `svo.info`.
 pub fn write_svo_info<W: Write + Seek>(
     writer: &mut ArchiveWriter<W>,
-    svo: &Svo,
-    stats: SvoStats,
+    info: &SvoInfo,
 ) -> Result<(), BakeError> {
-    let info = SvoInfo {
-        origin: svo.origin,
-        size: svo.size,
-        levels: svo.depth(),
-        emissive: u32::from(!svo.levels[0].emissive.is_empty()),
-        leaves: stats.leaves,
-        nodes: stats.nodes,
-    };
     writer.begin_section(name::SVO_INFO, 0)?;
-    writer.append_raw(bytemuck::bytes_of(&info))?;
-    Ok(())
-}
-
-/// Appends the octree's levels: geometry of all levels first, then attributes, coarse levels first.
-pub fn write_svo<W: Write + Seek>(writer: &mut ArchiveWriter<W>, svo: &Svo) -> Result<(), BakeError> {
-    let depth = svo.depth() as usize;
-    for (item, level) in (0..).zip(&svo.levels[..depth]) {
-        writer.begin_section(name::SVO_MASKS, item)?;
-        writer.append_raw(&level.child_masks)?;
-    }
-    for (item, level) in (0..).zip(&svo.levels) {
-        if !level.coverages.is_empty() {
-            writer.begin_section(name::SVO_COVERAGES, item)?;
-            writer.append_raw(&level.coverages)?;
-        }
-        writer.begin_section(name::SVO_COLORS, item)?;
-        writer.append_raw(&planes(&level.colors, |c| *c))?;
-        writer.begin_section(name::SVO_NORMALS, item)?;
-        writer.append_raw(&planes(&level.normals, |n| n.map(|c| c as u8)))?;
-        writer.begin_section(name::SVO_CONES, item)?;
-        writer.append_raw(&level.cones)?;
-        if !level.emissive.is_empty() {
-            writer.begin_section(name::SVO_EMISSIVE, item)?;
-            writer.append_raw(&planes(&level.emissive, |e| e.to_le_bytes()))?;
-        }
-    }
+    writer.append_raw(bytemuck::bytes_of(info))?;
     Ok(())
 }
 
 /// Byte 0 of every value, then byte 1 of every value, …
-fn planes<T, const N: usize>(values: &[T], bytes: impl Fn(&T) -> [u8; N]) -> Vec<u8> {
+pub(crate) fn planes<T, const N: usize>(values: &[T], bytes: impl Fn(&T) -> [u8; N]) -> Vec<u8> {
     let mut planes = vec![0; values.len() * N];
     for (i, value) in values.iter().enumerate() {
         for (plane, byte) in bytes(value).into_iter().enumerate() {

@@ -8,6 +8,7 @@ use glam::DVec3;
 use manyview_shaders::device::TriangleBatch;
 use manyview_shaders::masks::{AlphaPlane, TexelMap, TriangleMask, UNMASKED, WrapCode};
 use rayon::prelude::*;
+use std::ops::Range;
 
 /// Which triangle of the scene a snapped triangle is.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, PartialOrd, Ord)]
@@ -33,26 +34,50 @@ impl LatticeTriangles {
     /// Snaps every drawn triangle of `scene`, in the order of instances and triangles. `snap` takes a world position
     /// to lattice coordinates. Triangles that their cut-out removes altogether are left out.
     pub fn new(scene: &Scene, cutouts: &Cutouts, snap: impl Fn(DVec3) -> [i16; 3] + Sync) -> Self {
-        let parts: Vec<Self> = scene
-            .instances
+        let whole = |instance: u32| {
+            let mesh = &scene.meshes[scene.instances[instance as usize].mesh as usize];
+            (instance, 0..mesh.triangles.len() as u32)
+        };
+        let pieces: Vec<_> = (0..scene.instances.len() as u32).map(whole).collect();
+        Self::of_pieces(scene, cutouts, &pieces, snap)
+    }
+
+    /// As [`new`](Self::new), of some triangles: instances, each with a range of its mesh's triangles.
+    pub fn of_pieces(
+        scene: &Scene,
+        cutouts: &Cutouts,
+        pieces: &[(u32, Range<u32>)],
+        snap: impl Fn(DVec3) -> [i16; 3] + Sync,
+    ) -> Self {
+        let parts: Vec<Self> = pieces
             .par_iter()
-            .enumerate()
-            .map(|(index, instance)| {
+            .map(|(index, triangles)| {
+                let instance = &scene.instances[*index as usize];
                 let mesh = &scene.meshes[instance.mesh as usize];
-                let lattice: Vec<[i16; 3]> = mesh
-                    .positions
-                    .iter()
-                    .map(|p| snap(instance.world_from_object.transform_point3(p.as_dvec3())))
-                    .collect();
+                let snapped = |vertex: u32| {
+                    let position = mesh.positions[vertex as usize].as_dvec3();
+                    snap(instance.world_from_object.transform_point3(position))
+                };
+                // Vertices are shared by several triangles, but a piece may use few of them.
+                let lattice: Vec<[i16; 3]> = if triangles.len() == mesh.triangles.len() {
+                    (0..mesh.positions.len() as u32).map(snapped).collect()
+                } else {
+                    Vec::new()
+                };
                 let mask_of = &cutouts.mask_of[instance.mesh as usize];
                 let mut part = Self::default();
-                for (t, triangle) in mesh.triangles.iter().enumerate() {
-                    let mask = mask_of.get(t).copied().unwrap_or(Cut::Solid);
+                for t in triangles.clone() {
+                    let mask = mask_of.get(t as usize).copied().unwrap_or(Cut::Solid);
                     if mask == Cut::Away {
                         continue;
                     }
-                    part.triangles.push(triangle.map(|v| lattice[v as usize]));
-                    part.sources.push(TriangleRef { instance: index as u32, triangle: t as u32 });
+                    let triangle = mesh.triangles[t as usize];
+                    part.triangles.push(if lattice.is_empty() {
+                        triangle.map(snapped)
+                    } else {
+                        triangle.map(|v| lattice[v as usize])
+                    });
+                    part.sources.push(TriangleRef { instance: *index, triangle: t });
                     if !cutouts.masks.is_empty() {
                         part.mask_of.push(if let Cut::Masked(mask) = mask { mask } else { UNMASKED });
                     }
@@ -129,11 +154,16 @@ impl Cutouts {
     /// Prepares the cut-outs of every mesh whose material has an alpha cutoff. A triangle's threshold takes in the
     /// material's alpha and the mean of its vertex alphas.
     pub fn new(scene: &Scene) -> Self {
+        Self::of_meshes(scene, |_| true)
+    }
+
+    /// As [`new`](Self::new), for those meshes that `is_wanted` tells by their index; the others must not be asked for.
+    pub fn of_meshes(scene: &Scene, is_wanted: impl Fn(usize) -> bool) -> Self {
         let mut cutouts = Self { mask_of: vec![Vec::new(); scene.meshes.len()], ..Self::default() };
         let mut plane_of_texture = vec![None; scene.textures.len()];
         // Many meshes may share one large texture.
         let mut range_of_texture = vec![None; scene.textures.len()];
-        for (m, mesh) in scene.meshes.iter().enumerate() {
+        for (m, mesh) in scene.meshes.iter().enumerate().filter(|(m, _)| is_wanted(*m)) {
             let material = material_of(scene, mesh);
             let Some(cutoff) = material.alpha_mode.cutoff() else { continue };
             let texture = material.base_color_texture.filter(|_| !mesh.base_color_uvs.is_empty());

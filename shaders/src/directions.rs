@@ -277,21 +277,24 @@ pub fn extents_along<const N: usize>(
 }
 
 /// Rolls that [`rolled_to_fit`] tries within a quarter turn.
-const ROLLS: u32 = 24;
+pub const ROLLS: u32 = 24;
+
+/// Axes u and v turned about w by a roll of [`ROLLS`] in a quarter turn.
+pub fn rolled([u, v, _]: [[f64; 3]; 3], roll: u32) -> [[f64; 3]; 2] {
+    let (sin, cos) = sin_cos_turns(roll, 4 * ROLLS);
+    [[0, 1, 2].map(|i| cos * u[i] + sin * v[i]), [0, 1, 2].map(|i| cos * v[i] - sin * u[i])]
+}
 
 /// `axes` turned about w so that the scene's extents along u and v enclose the smallest area: a long scene seen along
 /// its diagonal would else leave most rows empty. `boxes` as for [`extents_along`].
 pub fn rolled_to_fit(axes: [[f64; 3]; 3], lattice: &RowLattice, boxes: &[[[i16; 3]; 2]]) -> [[f64; 3]; 3] {
-    let [u, v, w] = axes;
     let mut best = (f64::INFINITY, axes);
     for roll in 0..ROLLS {
-        let (sin, cos) = sin_cos_turns(roll, 4 * ROLLS);
-        let turned_u = [0, 1, 2].map(|i| cos * u[i] + sin * v[i]);
-        let turned_v = [0, 1, 2].map(|i| cos * v[i] - sin * u[i]);
-        let [[u_min, u_max], [v_min, v_max]] = extents_along([turned_u, turned_v], lattice, boxes);
+        let [u, v] = rolled(axes, roll);
+        let [[u_min, u_max], [v_min, v_max]] = extents_along([u, v], lattice, boxes);
         let area = (u_max - u_min) * (v_max - v_min);
         if area < best.0 {
-            best = (area, [turned_u, turned_v, w]);
+            best = (area, [u, v, axes[2]]);
         }
     }
     best.1

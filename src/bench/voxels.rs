@@ -14,6 +14,7 @@ use manyview_pipeline::cube::SceneCube;
 use manyview_pipeline::octree::{self, Brick, Bricks, brick_fragments};
 use manyview_pipeline::triangles::LatticeTriangles;
 use manyview_shaders::raster::{Grid, Raster, VoxelBox, fragments_basic};
+use manyview_shaders::svo::Svo;
 use rayon::prelude::*;
 
 /// Octree levels that are compared: 32³, 64³ and 128³.
@@ -152,7 +153,8 @@ fn octree_voxels(scene: &BenchScene, cube: SceneCube, grid: Grid, triangles: &La
         .collect();
     let mut voxels = Voxels::new(grid.bits);
     if !built.is_empty() {
-        let svo = octree::build(cube, grid, bricks.brick_bits, built);
+        let levels = octree::join(grid.bits, bricks.brick_bits, built);
+        let svo = Svo { origin: cube.origin, size: cube.size, levels };
         for cell in svo.cells(grid.bits as usize) {
             voxels.insert(cell.map(u32::from));
         }

@@ -1,5 +1,8 @@
 //! `manyview bake`.
 
+mod explain;
+mod watch;
+
 use std::fmt::Write as _;
 use std::path::{Path, PathBuf};
 use std::str::FromStr;
@@ -12,12 +15,14 @@ use manyview_pipeline::import::ImportError;
 use manyview_pipeline::recipe::{Recipe, SceneSource, parse_fit, parse_rows_from, parse_rows_size};
 use manyview_pipeline::rows::RowsOptions;
 use manyview_pipeline::run::{Bake, RunError, Summary};
+use manyview_pipeline::steps::{StepCount, StepCounts, StepKind};
 use manyview_shaders::cpu_device::CpuDevice;
 use manyview_shaders::device::VoxelDevice;
 use manyview_shaders::directions::{DirectionSet, Fit};
 use serde_json::json;
 
 use super::Format;
+use super::cache::CacheOptions;
 use super::cancel;
 use super::error::{CliError, CliResult, Exit};
 use super::output::{bytes, count, print, print_json};
@@ -71,9 +76,17 @@ pub(crate) struct Options {
     /// Let the scene's URIs leave its folder
     #[arg(long)]
     allow_outside: bool,
+    #[command(flatten)]
+    cache: CacheOptions,
     /// Only say what the bake would cost
     #[arg(long)]
     dry_run: bool,
+    /// Say of every step whether the cache has it, and why not
+    #[arg(long)]
+    explain: bool,
+    /// Bake again whenever the scene, or a file that it refers to, changes; until interrupted
+    #[arg(long, conflicts_with = "dry_run")]
+    watch: bool,
     /// Write the files that the archive depends on as a rule for make and ninja
     #[arg(long, value_name = "FILE")]
     depfile: Option<PathBuf>,
@@ -151,46 +164,109 @@ fn warn(format: Format, warnings: &[String]) {
 
 /// Runs the command.
 pub(crate) fn run(options: &Options) -> CliResult {
+    if options.tells_events() {
+        cancel::tell_events();
+    }
+    if options.watch {
+        return watch::run(options);
+    }
+    run_once(options).result.map(|()| Exit::Done)
+}
+
+/// How one bake ended, and what it has looked at.
+pub(super) struct Outcome {
+    pub(super) result: Result<(), CliError>,
+    /// Files that were read or looked for, as far as it got.
+    pub(super) inputs: Vec<PathBuf>,
+}
+
+pub(super) fn run_once(options: &Options) -> Outcome {
+    let mut inputs: Vec<PathBuf> = options.recipe.iter().chain(&options.scene).cloned().collect();
+    let result = bake_once(options, &mut inputs);
+    Outcome { result, inputs }
+}
+
+fn bake_once(options: &Options, inputs: &mut Vec<PathBuf>) -> Result<(), CliError> {
     let recipe = match &options.recipe {
         Some(path) => Recipe::read(path).map_err(CliError::bad_input)?,
         None => Recipe::default(),
     };
-    let bake = plan(options, &recipe)?;
+    let mut bake = plan(options, &recipe)?;
+    if let SceneSource::File(scene) = &bake.source {
+        inputs.push(scene.clone());
+    }
+    inputs.extend(recipe.camera.clone());
     if options.dry_run {
-        let (estimate, warnings) = bake.estimate()?;
-        warn(options.format, &warnings);
-        match options.format {
-            Format::Text => print(&format!("{}\n", estimate_line(&estimate)))?,
-            Format::Json => print_json(&estimate_event(&estimate))?,
-        }
-        return Ok(Exit::Done);
+        return dry_run(options, &mut bake);
     }
     spare_inputs(options, &recipe, &bake)?;
-    for output in
-        [Some(&bake.output), options.preview.as_ref().or(recipe.preview.as_ref())].into_iter().flatten()
-    {
+    let picture = options.preview.as_ref().or(recipe.preview.as_ref());
+    for output in [Some(&bake.output), picture].into_iter().flatten() {
         make_recipe_folder(&recipe, output)?;
     }
-    if options.tells_events() {
-        cancel::tell_events();
-    }
-    let device = open_device(options.backend, options.voxels_from)?;
-    let device = device.as_deref();
-    let progress = Progress::new(options.format, cancel::watch());
     let clock = std::time::Instant::now();
-    let result = bake.run_on(device, &progress);
+    let store = options.cache.open(|warning| warn(options.format, &[warning]))?;
+    bake.store.clone_from(&store);
+    let progress = Progress::new(options.format, cancel::watch());
+    let result = bake_or_reuse(options, &bake, &progress);
     progress.finish();
-    let summary = result?;
+    if let Some(store) = &store {
+        warn(options.format, &store.take_warnings());
+    }
+    let (summary, backend) = result.inspect_err(|error| inputs.extend(error.missing_file()))?;
+    inputs.extend(summary.files.iter().cloned());
     warn(options.format, &summary.warnings);
     if let Some(path) = &options.depfile {
         write_depfile(path, &bake.output, &summary, options.recipe.as_deref())?;
     }
-    if let Some(picture) = options.preview.as_ref().or(recipe.preview.as_ref()) {
+    if let Some(picture) = picture {
         super::preview::draw_default(&bake.output, picture, recipe.camera.as_deref())?;
     }
+    report(options.format, &bake, &summary, &backend, clock.elapsed().as_secs_f64())
+}
+
+/// The summary, and the name of what baked.
+fn bake_or_reuse(options: &Options, bake: &Bake, progress: &Progress) -> Result<(Summary, String), CliError> {
+    // Opening a GPU takes longer than to see that there is nothing to do.
+    if let Some(summary) = bake.up_to_date()? {
+        bake.touch_output();
+        if options.explain {
+            explain::tell(options.format, &[]);
+        }
+        return Ok((summary, "nothing".to_owned()));
+    }
+    if options.explain {
+        explain::tell(options.format, &bake.explain()?);
+    }
+    let device = open_device(options.backend, options.voxels_from)?;
+    let device = device.as_deref();
     let backend = device.map_or_else(|| "cpu".to_owned(), VoxelDevice::name);
-    report(options.format, &bake, &summary, &backend, clock.elapsed().as_secs_f64())?;
-    Ok(Exit::Done)
+    Ok((bake.run_on(device, progress)?, backend))
+}
+
+/// Says what a bake would cost, and with `--explain` what would become of every step.
+fn dry_run(options: &Options, bake: &mut Bake) -> Result<(), CliError> {
+    let (estimate, warnings) = bake.estimate()?;
+    warn(options.format, &warnings);
+    let mut event = estimate_event(&estimate);
+    if options.format == Format::Text {
+        print(&format!("{}\n", estimate_line(&estimate)))?;
+    }
+    if options.explain {
+        bake.store = options.cache.open_if_there()?;
+        let steps = match bake.up_to_date()? {
+            Some(_) => Vec::new(),
+            None => bake.explain()?,
+        };
+        match options.format {
+            Format::Text => print(&explain::text(&steps))?,
+            Format::Json => event["steps"] = explain::json(&steps),
+        }
+    }
+    match options.format {
+        Format::Text => Ok(()),
+        Format::Json => print_json(&event),
+    }
 }
 
 /// The bake that options and recipe ask for.
@@ -322,9 +398,11 @@ fn report(
     backend: &str,
     seconds: f64,
 ) -> Result<(), CliError> {
-    let Summary { report, archive, .. } = summary;
+    let Summary { report, archive, steps, .. } = summary;
     match format {
         Format::Json => print_json(&json!({
+            "up_to_date": summary.is_up_to_date,
+            "steps": steps_json(steps),
             "output": bake.output.display().to_string(),
             "backend": backend,
             "triangles": report.triangles,
@@ -342,11 +420,17 @@ fn report(
             },
             "peak_memory_bytes": peak_memory_bytes(),
         })),
+        Format::Text if summary.is_up_to_date => print(&format!(
+            "{}: up to date, {} leaves, {}, seen in {seconds:.3} s\nsteps: {steps}\n",
+            bake.output.display(),
+            count(report.leaves),
+            bytes(archive.file_bytes),
+        )),
         Format::Text => {
             let peak =
                 peak_memory_bytes().map_or(String::new(), |peak| format!(", peak memory {}", bytes(peak)));
             print(&format!(
-                "{}: {} triangles, {} leaves, {} in {seconds:.1} s on {backend}{peak}\n",
+                "{}: {} triangles, {} leaves, {} in {seconds:.1} s on {backend}{peak}\nsteps: {steps}\n",
                 bake.output.display(),
                 count(report.triangles),
                 count(report.leaves),
@@ -354,6 +438,21 @@ fn report(
             ))
         }
     }
+}
+
+/// Counts of steps as JSON.
+pub(crate) fn steps_json(steps: &StepCounts) -> serde_json::Value {
+    let total = steps.total();
+    let kinds: serde_json::Map<String, serde_json::Value> = StepKind::ALL
+        .iter()
+        .map(|kind| (kind.name().to_owned(), steps.of(*kind)))
+        .filter(|(_, count)| *count != StepCount::default())
+        .map(|(name, count)| {
+            let StepCount { reused, rebuilt, patched } = count;
+            (name, json!({ "reused": reused, "rebuilt": rebuilt, "patched": patched }))
+        })
+        .collect();
+    json!({ "reused": total.reused, "rebuilt": total.rebuilt, "failed": 0, "kinds": kinds })
 }
 
 /// The most memory this process has had, where the system tells.

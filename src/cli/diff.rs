@@ -4,7 +4,7 @@ use std::collections::{BTreeMap, BTreeSet};
 use std::path::PathBuf;
 
 use manyview::{Archive, LoadError};
-use manyview_cache::archive::SectionId;
+use manyview_cache::archive::{Section, SectionId};
 use manyview_shaders::sections::name;
 use manyview_shaders::svo::Svo;
 use serde_json::{Value, json};
@@ -55,7 +55,7 @@ impl State {
 }
 
 /// How two octrees differ at one level.
-#[derive(Debug, Default, PartialEq, Eq)]
+#[derive(Debug, Clone, Default, PartialEq, Eq)]
 struct LevelDifference {
     level: u32,
     /// Cells that only one of them has.
@@ -65,6 +65,15 @@ struct LevelDifference {
     attributes: u64,
     /// Cells that both have.
     common: u64,
+    /// Smallest and largest cell of those that differ in any way.
+    region: Option<[[u16; 3]; 2]>,
+}
+
+impl LevelDifference {
+    fn differs_at(&mut self, cell: [u16; 3]) {
+        let [lo, hi] = self.region.unwrap_or([cell; 2]);
+        self.region = Some([[0, 1, 2].map(|i| lo[i].min(cell[i])), [0, 1, 2].map(|i| hi[i].max(cell[i]))]);
+    }
 }
 
 /// How the rows of two bakes of the same directions differ.
@@ -103,12 +112,30 @@ pub(super) fn section_states(a: &Archive, b: &Archive) -> BTreeMap<SectionId, St
         let find = |archive: &Archive| archive.container().section(id.name.as_str(), id.item).cloned();
         match (find(a), find(b)) {
             (Some(a), Some(b)) if a.raw_bytes == b.raw_bytes && a.digest == b.digest => State::Same,
+            (Some(of_a), Some(of_b)) if has_same_content(a, &of_a, b, &of_b) => State::Same,
             (Some(_), None) => State::OnlyInA,
             (None, Some(_)) => State::OnlyInB,
             _ => State::Differs,
         }
     };
     ids.into_iter().map(|id| (id, state(&id))).collect()
+}
+
+/// Whether two sections that are cut into other chunks, as by other versions of this program, hold the same. Their
+/// digests do not tell.
+fn has_same_content(a: &Archive, of_a: &Section, b: &Archive, of_b: &Section) -> bool {
+    let cuts = |archive: &Archive, section: &Section| -> Vec<u32> {
+        let chunks =
+            &archive.container().chunks()[section.chunks.start as usize..section.chunks.end as usize];
+        chunks.iter().map(|chunk| chunk.raw_bytes).collect()
+    };
+    if of_a.raw_bytes != of_b.raw_bytes || cuts(a, of_a) == cuts(b, of_b) {
+        return false;
+    }
+    match (a.container().read_section(of_a), b.container().read_section(of_b)) {
+        (Ok(a), Ok(b)) => a == b,
+        _ => false,
+    }
 }
 
 /// Compares the levels that both have, cell by cell; `Err` with a sentence where the cells are not the same places.
@@ -138,9 +165,11 @@ fn compare_level(a: &Svo, b: &Svo, level: u32) -> LevelDifference {
         };
         if order.is_lt() {
             difference.only_in_a += 1;
+            difference.differs_at(cells_a[i]);
             i += 1;
         } else if order.is_gt() {
             difference.only_in_b += 1;
+            difference.differs_at(cells_b[j]);
             j += 1;
         } else {
             difference.common += 1;
@@ -150,6 +179,9 @@ fn compare_level(a: &Svo, b: &Svo, level: u32) -> LevelDifference {
                 && of_a.coverages.get(i) == of_b.coverages.get(j)
                 && of_a.emissive.get(i) == of_b.emissive.get(j);
             difference.attributes += u64::from(!same);
+            if !same {
+                difference.differs_at(cells_a[i]);
+            }
             i += 1;
             j += 1;
         }
@@ -169,6 +201,16 @@ fn morton_cmp(a: [u16; 3], b: [u16; 3]) -> std::cmp::Ordering {
         }
     }
     a[axis].cmp(&b[axis])
+}
+
+/// World bounds of the cells that differ at the deepest level that both have, metres.
+fn region(a: &Archive, levels: Option<&OctreeComparison>) -> Option<[[f64; 3]; 2]> {
+    let level = levels?.as_ref().ok()?.last()?;
+    let [lo, hi] = level.region?;
+    let info = a.svo_info();
+    let cell = info.size / f64::from(1u32 << level.level);
+    let at = |cells: [f64; 3]| [0, 1, 2].map(|i| info.origin[i] + cells[i] * cell);
+    Some([at(lo.map(f64::from)), at(hi.map(|c| f64::from(c) + 1.0))])
 }
 
 fn compare_rows(a: &Archive, b: &Archive) -> Result<Option<RowsDifference>, LoadError> {
@@ -225,6 +267,11 @@ fn text(
                 ]);
             }
             text.push_str(&format!("\noctree cells\n{}", table.render()));
+            if let Some([min, max]) = region(a, Some(&Ok(levels.clone()))) {
+                let place = |[x, y, z]: [f64; 3]| format!("({x:.3}, {y:.3}, {z:.3})");
+                let (min, max) = (place(min), place(max));
+                text.push_str(&format!("all differences of the octree lie from {min} to {max} m\n"));
+            }
         }
         Some(Err(reason)) => text.push_str(&format!("\noctree: {reason}\n")),
         None => {}
@@ -275,6 +322,7 @@ fn json(
         .iter()
         .map(|(id, state)| json!({ "name": id.name.as_str(), "item": id.item, "state": state.text() }))
         .collect();
+    let region = region(a, levels).map(|[min, max]| json!({ "min": min, "max": max }));
     let levels = levels.map(|levels| match levels {
         Ok(levels) => levels
             .iter()
@@ -300,7 +348,7 @@ fn json(
         })
     });
     let same = states.values().all(|state| *state == State::Same);
-    json!({ "a": a.name(), "b": b.name(), "same": same, "sections": sections, name::SVO_INFO.trim_end_matches(".info"): levels, "rows": rows })
+    json!({ "a": a.name(), "b": b.name(), "same": same, "sections": sections, name::SVO_INFO.trim_end_matches(".info"): levels, "region": region, "rows": rows })
 }
 
 #[cfg(test)]

@@ -1,13 +1,15 @@
 //! How commands end: exit codes, and the errors that carry them.
 
 use std::fmt;
-use std::path::Path;
+use std::path::{Path, PathBuf};
 use std::process::ExitCode;
 
 use manyview::LoadError;
 use manyview::preview::{CameraError, Cancelled};
 use manyview_cache::archive::ArchiveErrorKind;
 use manyview_cache::atomic::AtomicFileError;
+use manyview_pipeline::import::ImportError;
+use manyview_pipeline::run::RunError;
 
 /// The exit codes that all commands share.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
@@ -69,6 +71,14 @@ impl CliError {
     /// An input is wrong.
     pub(crate) fn bad_input(message: impl fmt::Display) -> Self {
         Self::new(Exit::BadInput, anyhow::anyhow!("{message}"))
+    }
+
+    /// The file that a bake looked for in vain, if that was the trouble.
+    pub(crate) fn missing_file(&self) -> Option<PathBuf> {
+        match self.error.downcast_ref::<RunError>() {
+            Some(RunError::Import(ImportError::Unreadable { path, .. })) => Some(path.clone()),
+            _ => None,
+        }
     }
 
     /// The exit code.

@@ -3,6 +3,7 @@
 mod against;
 mod bake;
 mod bench;
+mod cache;
 mod camera_file;
 mod cancel;
 mod compare;
@@ -58,6 +59,8 @@ enum Command {
     Rays(rays::Options),
     /// Draws what many views see: a map of distances in all directions for each
     Views(views::Options),
+    /// Looks after the cache: where it is, what is in it, making room, checking it
+    Cache(cache::Options),
     /// Measures voxels and rows against exact references
     Bench(bench::Args),
     /// Draws a scene in the light of many lights
@@ -93,6 +96,7 @@ pub(crate) fn main() -> ExitCode {
         Command::Rays(options) => rays::run(options),
         Command::Views(options) => views::run(options),
         Command::Bench(options) => bench::run_command(options),
+        Command::Cache(options) => cache::run(options),
         Command::Preview(options) => preview::run(options),
         Command::Render(options) => render::run(options),
         Command::Compare(options) => compare::run(options),

@@ -215,7 +215,12 @@ fn a_full_disk_costs_nothing_but_the_bake() {
         "trap '' XFSZ; ulimit -f 2; exec '{}' bake scene.glb -o out.mvb --levels 9 --rows 64 --backend cpu",
         env!("CARGO_BIN_EXE_manyview")
     );
-    let run = Run::of(std::process::Command::new("sh").args(["-c", &bake]).current_dir(work.folder()));
+    let run = Run::of(
+        std::process::Command::new("sh")
+            .args(["-c", &bake])
+            .env("MANYVIEW_CACHE", "")
+            .current_dir(work.folder()),
+    );
     assert_eq!(run.code, Some(3), "{}", run.stderr);
     assert!(run.stderr.contains("out.mvb") && run.stderr.contains("free some space"), "{}", run.stderr);
     assert_eq!(work.names(), before);

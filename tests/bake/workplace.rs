@@ -73,7 +73,7 @@ impl Workplace {
     /// The program with this folder as current one, to be given arguments.
     pub(crate) fn command(&self) -> Command {
         let mut command = Command::new(env!("CARGO_BIN_EXE_manyview"));
-        command.current_dir(self.folder()).env_remove("MANYVIEW_LOG");
+        command.current_dir(self.folder()).env_remove("MANYVIEW_LOG").env("MANYVIEW_CACHE", "");
         command
     }
 

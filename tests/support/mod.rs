@@ -96,7 +96,7 @@ pub(crate) fn rewrite(from: &Path, to: &Path, mut change: impl FnMut(&str, u32, 
 
 /// Runs the program.
 pub(crate) fn manyview(arguments: &[&str]) -> Output {
-    Command::new(env!("CARGO_BIN_EXE_manyview")).args(arguments).output().unwrap()
+    Command::new(env!("CARGO_BIN_EXE_manyview")).env("MANYVIEW_CACHE", "").args(arguments).output().unwrap()
 }
 
 /// Runs the program, expects an exit code, and returns what it wrote to stdout and stderr.

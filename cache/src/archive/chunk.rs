@@ -3,12 +3,14 @@
 use std::cell::RefCell;
 use std::io;
 
+use blake3::hazmat::ChainingValue;
 use rayon::prelude::*;
 use zstd::bulk::{Compressor, Decompressor};
 
 use super::error::{ArchiveError, ArchiveErrorKind, corrupt, expect_equal};
 use super::format::{ChunkRecord, MAX_CHUNK_BYTES};
 use super::sparse;
+use super::tiles;
 use crate::digest::Digest;
 
 /// How the bytes of a chunk are stored.
@@ -21,6 +23,8 @@ pub enum Codec {
     Zstd = 1,
     /// As such a frame of the content's [sparse form](super::sparse).
     Sparse = 2,
+    /// In [tiles](super::tiles), each stored on its own.
+    Tiles = 3,
 }
 
 impl Codec {
@@ -29,6 +33,7 @@ impl Codec {
             0 => Ok(Self::Raw),
             1 => Ok(Self::Zstd),
             2 => Ok(Self::Sparse),
+            3 => Ok(Self::Tiles),
             found => Err(ArchiveErrorKind::UnsupportedCodec { found }.into()),
         }
     }
@@ -42,6 +47,8 @@ pub struct CompressedChunk {
     codec: Codec,
     raw_digest: Digest,
     stored_digest: Digest,
+    /// The tiles' parts of the raw digest; of other codecs none.
+    tile_digests: Vec<ChainingValue>,
 }
 
 thread_local! {
@@ -74,28 +81,114 @@ impl CompressedChunk {
         }
     }
 
+    /// As [`compress_sparse`](Self::compress_sparse), in tiles, so that a [`TileEditor`](super::TileEditor) can change
+    /// some of it at the cost of some.
+    ///
+    /// # Panics
+    /// Where `raw` is empty or larger than [`MAX_CHUNK_BYTES`].
+    pub fn compress_tiles(raw: &[u8], level: i32) -> Self {
+        assert!(!raw.is_empty(), "a chunk has content");
+        assert!(raw.len() <= MAX_CHUNK_BYTES, "{} bytes are more than a chunk takes", raw.len());
+        match tiles::encode(raw, level) {
+            Some((stored, digest, digests)) => Self::of_tiles(stored, raw.len(), digest, digests),
+            None => Self::with_codec(raw, raw, Codec::Raw, level),
+        }
+    }
+
+    /// A chunk in tiles that are stored already.
+    pub(super) fn of_tiles(
+        stored: Vec<u8>,
+        raw_bytes: usize,
+        raw_digest: Digest,
+        tile_digests: Vec<ChainingValue>,
+    ) -> Self {
+        let stored_digest = Digest::of(&stored);
+        let (stored, raw_bytes) = (stored.into_boxed_slice(), raw_bytes as u32);
+        Self { stored, raw_bytes, codec: Codec::Tiles, raw_digest, stored_digest, tile_digests }
+    }
+
+    /// The tiles' parts of the content's digest; none of chunks that are not in tiles.
+    pub(super) fn tile_digests(&self) -> &[ChainingValue] {
+        &self.tile_digests
+    }
+
+    /// How it is stored.
+    pub fn codec(&self) -> Codec {
+        self.codec
+    }
+
     /// Compresses `form`, which is `raw` in the form that `codec` takes.
     fn with_codec(raw: &[u8], form: &[u8], codec: Codec, level: i32) -> Self {
         assert!(!raw.is_empty(), "a chunk has content");
         assert!(raw.len() <= MAX_CHUNK_BYTES, "{} bytes are more than a chunk takes", raw.len());
         let raw_digest = Digest::of(raw);
         // Compression into less than `raw.len()` bytes fails where it would not help.
-        let compressed = SCRATCH.with_borrow_mut(|scratch| {
-            scratch.resize(raw.len() - 1, 0);
-            compress_into(form, level, scratch).ok().map(|size| Box::from(&scratch[..size]))
+        let compressed = (codec != Codec::Raw).then_some(()).and_then(|()| {
+            SCRATCH.with_borrow_mut(|scratch| {
+                scratch.resize(raw.len() - 1, 0);
+                compress_into(form, level, scratch).ok().map(|size| Box::from(&scratch[..size]))
+            })
         });
         let (codec, stored) = match compressed {
             Some(stored) => (codec, stored),
             None => (Codec::Raw, Box::from(raw)),
         };
         let stored_digest = if codec == Codec::Raw { raw_digest } else { Digest::of(&stored) };
-        Self { stored, raw_bytes: raw.len() as u32, codec, raw_digest, stored_digest }
+        let tile_digests = Vec::new();
+        Self { stored, raw_bytes: raw.len() as u32, codec, raw_digest, stored_digest, tile_digests }
     }
 
     /// Cuts `raw` into chunks as [`ArchiveWriter::append_raw`](super::ArchiveWriter::append_raw) does, and compresses
     /// them in parallel.
     pub fn compress_all(raw: &[u8], level: i32) -> Vec<Self> {
         raw.par_chunks(MAX_CHUNK_BYTES).map(|raw| Self::compress(raw, level)).collect()
+    }
+
+    /// The content.
+    pub fn content(&self) -> Result<Vec<u8>, ArchiveError> {
+        let mut raw = vec![0; self.raw_bytes as usize];
+        self.content_into_zeros(&mut raw)?;
+        Ok(raw)
+    }
+
+    /// Writes the content to `raw`, which is all zero and as large as the content.
+    pub fn content_into_zeros(&self, raw: &mut [u8]) -> Result<(), ArchiveError> {
+        decode_chunk_into_zeros(&self.record_at(0), &self.stored, raw)
+    }
+
+    /// Appends the chunk to what will be a value of a [store](crate::store): raw size, stored size, codec (4 bytes
+    /// each), both digests, the stored bytes; of a chunk in tiles, their parts of the digest.
+    pub fn save(&self, value: &mut Vec<u8>) {
+        value.extend(self.raw_bytes.to_le_bytes());
+        value.extend((self.stored.len() as u32).to_le_bytes());
+        value.extend((self.codec as u32).to_le_bytes());
+        value.extend(self.raw_digest.0);
+        value.extend(self.stored_digest.0);
+        value.extend(&self.stored);
+        self.tile_digests.iter().for_each(|digest| value.extend(digest));
+    }
+
+    /// Takes a chunk that [`save`](Self::save) wrote from the front of a checked `value`; `None` if there is none.
+    pub fn load(value: &mut &[u8]) -> Option<Self> {
+        let (head, rest) = value.split_at_checked(12 + 64)?;
+        let number = |at: usize| Some(u32::from_le_bytes(head.get(at..at + 4)?.try_into().ok()?));
+        let (stored, rest) = rest.split_at_checked(number(4)? as usize)?;
+        let raw_bytes = number(0)?;
+        if raw_bytes == 0 || raw_bytes as usize > MAX_CHUNK_BYTES {
+            return None;
+        }
+        let codec = Codec::from_stored(u8::try_from(number(8)?).ok()?).ok()?;
+        let tiles = if codec == Codec::Tiles { tiles::tile_count(raw_bytes as usize) } else { 0 };
+        let (digests, rest) = rest.split_at_checked(tiles * 32)?;
+        *value = rest;
+        Some(Self {
+            stored: stored.into(),
+            raw_bytes,
+            codec,
+            tile_digests: digests.as_chunks::<32>().0.to_vec(),
+            raw_digest: Digest(head[12..44].try_into().ok()?),
+            stored_digest: Digest(head[44..].try_into().ok()?),
+        })
     }
 
     /// The bytes to store.
@@ -125,7 +218,7 @@ impl CompressedChunk {
     }
 }
 
-fn compress_into(raw: &[u8], level: i32, stored: &mut [u8]) -> io::Result<usize> {
+pub(super) fn compress_into(raw: &[u8], level: i32, stored: &mut [u8]) -> io::Result<usize> {
     COMPRESSOR.with_borrow_mut(|slot| {
         if slot.as_ref().is_none_or(|(current, _)| *current != level) {
             *slot = Some((level, Compressor::new(level)?));
@@ -138,7 +231,7 @@ fn compress_into(raw: &[u8], level: i32, stored: &mut [u8]) -> io::Result<usize>
 /// Decodes the `stored` bytes of a chunk into `raw`, whose size must be the chunk's raw size. First the digest is
 /// checked, so that the decoder sees only what a writer wrote. Takes no memory beyond a fixed context per thread.
 pub fn decode_chunk(record: &ChunkRecord, stored: &[u8], raw: &mut [u8]) -> Result<(), ArchiveError> {
-    if record.codec == Codec::Sparse {
+    if matches!(record.codec, Codec::Sparse | Codec::Tiles) {
         raw.fill(0);
     }
     decode_chunk_into_zeros(record, stored, raw)
@@ -168,12 +261,13 @@ pub(super) fn decode_chunk_into_zeros(
             let written = decompress(stored, scratch)?;
             sparse::decode_into_zeros(&scratch[..written], raw)
         })?,
+        Codec::Tiles => tiles::decode_into_zeros(stored, raw)?,
     }
     Ok(())
 }
 
 /// Decompresses a frame into a buffer that is large enough for any honest one; how much it filled.
-fn decompress(stored: &[u8], content: &mut [u8]) -> Result<usize, ArchiveError> {
+pub(super) fn decompress(stored: &[u8], content: &mut [u8]) -> Result<usize, ArchiveError> {
     let most = content.len();
     DECOMPRESSOR
         .with_borrow_mut(|slot| {

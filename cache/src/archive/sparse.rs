@@ -30,18 +30,20 @@ pub(super) fn encode(raw: &[u8]) -> Option<Vec<u8>> {
     }
     let records = raw.len() / RECORD;
     let mut bitmap = vec![0u8; raw.len() / 8];
-    let mut columns: [Vec<u8>; RECORD] = Default::default();
+    // Room for all bytes of a place; how many there are.
+    let mut columns = vec![0u8; raw.len()];
+    let mut counts = [0usize; RECORD];
     let mut left = raw.len() / 2;
-    for (r, record) in raw.chunks_exact(RECORD).enumerate() {
-        if record.iter().all(|&byte| byte == 0) {
-            continue;
-        }
-        for (i, &byte) in record.iter().enumerate() {
-            if byte != 0 {
-                columns[i].push(byte);
-                bitmap[(i * records + r) / 8] |= 1 << (r % 8);
-                left = left.checked_sub(1)?;
-            }
+    for (r, record) in raw.as_chunks::<RECORD>().0.iter().enumerate() {
+        // Record by record as a number: most are zero, and in the others most bytes are.
+        let mut rest = u128::from_le_bytes(*record);
+        while rest != 0 {
+            let i = rest.trailing_zeros() as usize / 8;
+            columns[i * records + counts[i]] = (rest >> (8 * i)) as u8;
+            counts[i] += 1;
+            bitmap[(i * records + r) / 8] |= 1 << (r % 8);
+            rest &= !(0xff << (8 * i));
+            left = left.checked_sub(1)?;
         }
     }
     let mut sparse = vec![0; raw.len() / 64];
@@ -51,8 +53,8 @@ pub(super) fn encode(raw: &[u8]) -> Option<Vec<u8>> {
             sparse.push(byte);
         }
     }
-    for column in columns {
-        sparse.extend(column);
+    for (column, count) in columns.chunks_exact(records).zip(counts) {
+        sparse.extend_from_slice(&column[..count]);
     }
     Some(sparse)
 }

@@ -32,6 +32,8 @@ pub struct ArchiveStats {
     pub stored_bytes: u64,
     /// The size of the file.
     pub file_bytes: u64,
+    /// The digest of the index, which covers every byte.
+    pub index_digest: Digest,
 }
 
 /// Writes an archive from front to back. Until it is finished there is no file, or the old one.
@@ -168,6 +170,7 @@ impl<W: Write + Seek> ArchiveWriter<W> {
             raw_bytes: self.index.sections.iter().map(|section| section.raw_bytes).sum(),
             stored_bytes: self.index.chunks.iter().map(|chunk| u64::from(chunk.stored_bytes)).sum(),
             file_bytes: self.position,
+            index_digest: header.index_digest,
         })
     }
 

@@ -1,0 +1,578 @@
+//! The octree as steps: brick by brick, each a pure function of the triangles that touch it.
+//!
+//! A *brick* is a cell of 256³ voxels (the whole cube where it has fewer). Two steps make it: its *shape* (child masks,
+//! coverages) from the runs' shapes, its *look* (all other attributes) from the runs' looks; so another colour leaves
+//! the shape alone. The results are pieces of the archive as they will stand in it: the [`FINE_LEVELS`] deepest levels
+//! as compressed chunks, which end where a brick ends, the levels above as they are, since they are joined and
+//! compressed anew.
+//!
+//! Voxels are made in smaller bricks ([`crate::octree`]), which show nowhere.
+
+use crate::appearance::Appearance;
+use crate::bake::{BakeError, BakeOptions, Progress, VoxelsFrom, same_voxels};
+use crate::cube::SceneCube;
+use crate::octree::{self, Brick, Bricks, brick_fragments};
+use crate::runs::{Cell, CellRuns, Runs};
+use crate::scene::Scene;
+use crate::sections::planes;
+use crate::steps::{LOOKS, Reader, SHAPES, StepKind, Steps, step_key};
+use crate::triangles::{Cutouts, LatticeTriangles};
+use manyview_cache::archive::{ArchiveWriter, CompressedChunk, DEFAULT_LEVEL};
+use manyview_cache::digest::Digest;
+use manyview_cache::store::{Claim, ClaimGuard};
+use manyview_shaders::device::VoxelDevice;
+use manyview_shaders::raster::Grid;
+use manyview_shaders::sections::{SvoInfo, name};
+use manyview_shaders::svo::SvoLevel;
+use rayon::prelude::*;
+use std::io::{Seek, Write};
+use std::sync::Arc;
+
+/// log2 of voxels a side of a brick.
+pub const REGION_BITS: u32 = 8;
+/// How many of the deepest levels are cut into chunks by bricks.
+pub const FINE_LEVELS: u32 = 3;
+/// Bricks of 64³ keep a brick's bitmap in the first-level cache; a GPU wants more work per job.
+const CPU_BRICK_BITS: u32 = 6;
+
+/// Versions of the steps: bumped when their results change.
+const SHAPE_VERSION: u32 = 1;
+const LOOK_VERSION: u32 = 1;
+
+/// Where bricks lie, and what all of them share.
+#[derive(Clone, Copy)]
+pub struct RegionGrid {
+    /// The scene cube.
+    pub cube: SceneCube,
+    /// Its voxels.
+    pub grid: Grid,
+}
+
+impl RegionGrid {
+    /// log2 of voxels a side of a brick.
+    pub fn bits(self) -> u32 {
+        REGION_BITS.min(self.grid.bits)
+    }
+
+    /// Whether level `local` of a brick is one of the deepest.
+    fn is_fine(self, local: u32) -> bool {
+        local + FINE_LEVELS > self.bits()
+    }
+
+    fn shift(self) -> u32 {
+        self.bits() + self.grid.sub_bits
+    }
+
+    /// The bricks that the scene's runs reach into.
+    pub fn cells(self, scene: &Scene, runs: &Runs) -> CellRuns {
+        let snap = |p: glam::DVec3| self.cube.snap(self.grid, p.to_array());
+        let cell_of = |p: glam::DVec3| snap(p).map(|c| i64::from(c) >> self.shift());
+        CellRuns::new(scene, runs, cell_of, |corners, visit| {
+            octree::cells_touched(&corners.map(|p| snap(p).map(i64::from)), self.shift(), visit);
+        })
+    }
+
+    /// Whether the store says that nothing is in a brick.
+    pub(crate) fn is_empty(self, steps: &Steps, keys: &RegionKeys) -> bool {
+        let counts = |value: &[u8]| Reader(value).u32();
+        steps.find(SHAPES, &keys.shape, counts) == Some(0)
+    }
+
+    /// The keys of a brick's two steps.
+    pub fn keys(self, runs: &Runs, cell: &Cell) -> RegionKeys {
+        let key = |name, version, digest: Digest| {
+            let mut key = step_key(name, version);
+            self.cube.origin.iter().for_each(|c| _ = key.float(*c));
+            key.float(self.cube.size).unsigned(self.grid.bits.into()).unsigned(cell.code.into());
+            key.digest(&digest).finish()
+        };
+        RegionKeys {
+            shape: key("brick shape", SHAPE_VERSION, cell.digest(runs, |run| run.shape)),
+            look: key("brick look", LOOK_VERSION, cell.digest(runs, |run| run.look)),
+        }
+    }
+}
+
+/// Keys of the steps of a brick.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub struct RegionKeys {
+    /// Of its shape.
+    pub shape: Digest,
+    /// Of its look.
+    pub look: Digest,
+}
+
+/// A piece of a brick's result: bytes of the coarse levels, chunks of the fine ones in a fixed order.
+#[derive(Debug, Clone, PartialEq, Eq)]
+struct Part {
+    /// Nodes of each level, the brick's root first; empty in an empty brick.
+    counts: Vec<u32>,
+    coarse: Vec<u8>,
+    /// One list for each byte plane of each fine level.
+    fine: Vec<Vec<CompressedChunk>>,
+}
+
+impl Part {
+    fn save(&self) -> Vec<u8> {
+        let mut value = Vec::new();
+        value.extend((self.counts.len() as u32).to_le_bytes());
+        self.counts.iter().for_each(|count| value.extend(count.to_le_bytes()));
+        let coarse = CompressedChunk::compress_all(&self.coarse, DEFAULT_LEVEL);
+        for chunks in std::iter::once(&coarse).chain(&self.fine) {
+            value.extend((chunks.len() as u32).to_le_bytes());
+            chunks.iter().for_each(|chunk| chunk.save(&mut value));
+        }
+        value
+    }
+
+    fn load(value: &[u8], lists: usize) -> Option<Self> {
+        let mut reader = Reader(value);
+        let levels = reader.u32()?;
+        let counts: Vec<u32> = (0..levels).map(|_| reader.u32()).collect::<Option<_>>()?;
+        let mut list = || -> Option<Vec<CompressedChunk>> {
+            let chunks = reader.u32()?;
+            (0..chunks).map(|_| CompressedChunk::load(&mut reader.0)).collect()
+        };
+        let mut coarse = Vec::new();
+        for chunk in list()? {
+            coarse.extend(chunk.content().ok()?);
+        }
+        let fine = (0..if levels == 0 { 0 } else { lists }).map(|_| list()).collect::<Option<_>>()?;
+        reader.end()?;
+        Some(Self { counts, coarse, fine })
+    }
+
+    fn nothing() -> Self {
+        Self { counts: Vec::new(), coarse: Vec::new(), fine: Vec::new() }
+    }
+}
+
+/// Byte planes of a level's shape, in the order of their chunks and sections.
+fn shape_planes(level: &SvoLevel) -> [Vec<u8>; 2] {
+    [level.child_masks.clone(), level.coverages.clone()]
+}
+
+/// Byte planes of a level's look.
+fn look_planes(level: &SvoLevel, emits: bool) -> Vec<Vec<u8>> {
+    let split = |planes: Vec<u8>, count: usize| -> Vec<Vec<u8>> {
+        let each = planes.len() / count;
+        (0..count).map(|i| planes[i * each..(i + 1) * each].to_vec()).collect()
+    };
+    let mut all = split(planes(&level.colors, |c| *c), 3);
+    all.extend(split(planes(&level.normals, |n| n.map(|c| c as u8)), 2));
+    all.push(level.cones.clone());
+    if emits {
+        all.extend(split(planes(&level.emissive, |e| e.to_le_bytes()), 4));
+    }
+    all
+}
+
+/// A level from its byte planes.
+fn level_of(shape: &[Vec<u8>], look: &[Vec<u8>]) -> Option<SvoLevel> {
+    let nodes = look.first()?.len();
+    let byte = |plane: usize, node: usize| look[plane][node];
+    Some(SvoLevel {
+        child_masks: shape.first().cloned().unwrap_or_default(),
+        coverages: shape.get(1).cloned().unwrap_or_default(),
+        colors: (0..nodes).map(|i| [byte(0, i), byte(1, i), byte(2, i)]).collect(),
+        normals: (0..nodes).map(|i| [byte(3, i) as i8, byte(4, i) as i8]).collect(),
+        cones: look[5].clone(),
+        emissive: if look.len() > 6 {
+            (0..nodes).map(|i| u32::from_le_bytes([byte(6, i), byte(7, i), byte(8, i), byte(9, i)])).collect()
+        } else {
+            Vec::new()
+        },
+    })
+}
+
+/// A brick with its results.
+struct Region {
+    code: u32,
+    shape: Part,
+    look: Part,
+}
+
+/// Cuts a brick's levels into its two parts.
+fn split(grid: RegionGrid, emits: bool, levels: &[SvoLevel]) -> [Part; 2] {
+    let counts: Vec<u32> = levels.iter().map(|level| level.colors.len() as u32).collect();
+    let part = |planes_of: &(dyn Fn(&SvoLevel) -> Vec<Vec<u8>> + Sync), levels: &[SvoLevel]| {
+        let mut coarse = Vec::new();
+        let mut fine = Vec::new();
+        for (local, level) in (0..).zip(levels) {
+            for plane in planes_of(level) {
+                if grid.is_fine(local) {
+                    fine.push(plane);
+                } else {
+                    coarse.extend(plane);
+                }
+            }
+        }
+        let fine = fine.par_iter().map(|plane| CompressedChunk::compress_all(plane, DEFAULT_LEVEL)).collect();
+        Part { counts: counts.clone(), coarse, fine }
+    };
+    let inner = &levels[..levels.len() - 1];
+    [part(&|level| shape_planes(level).to_vec(), inner), part(&|level| look_planes(level, emits), levels)]
+}
+
+/// The octree, ready to be written.
+pub struct Octree {
+    grid: RegionGrid,
+    emits: bool,
+    regions: Vec<Region>,
+    /// Levels above the fine ones.
+    coarse: Vec<SvoLevel>,
+    /// Its head.
+    pub info: SvoInfo,
+}
+
+/// Everything that the drivers of the octree's steps need.
+pub struct OctreeJob<'a> {
+    /// The scene.
+    pub scene: &'a Scene,
+    /// Its runs.
+    pub runs: &'a Runs,
+    /// What to bake.
+    pub options: &'a BakeOptions,
+    /// Where the octree lies.
+    pub grid: RegionGrid,
+    /// Where voxels are made.
+    pub device: Option<&'a dyn VoxelDevice>,
+    /// The store.
+    pub steps: &'a Steps,
+    /// Who watches.
+    pub progress: &'a dyn Progress,
+}
+
+impl OctreeJob<'_> {
+    /// Finds or makes every brick, and joins them.
+    pub fn run(&self) -> Result<Octree, BakeError> {
+        let (runs, grid) = (self.runs, self.grid);
+        let emits = emits(self.scene);
+        let cells = grid.cells(self.scene, runs).cells;
+        let keys: Vec<RegionKeys> = cells.par_iter().map(|cell| grid.keys(runs, cell)).collect();
+        let mut found: Vec<(Option<Part>, Option<Part>)> =
+            keys.par_iter().map(|keys| self.find(keys, emits)).collect();
+        let missing: Vec<usize> =
+            (0..cells.len()).filter(|&i| found[i].0.is_none() || found[i].1.is_none()).collect();
+        let hits = found.iter().filter(|parts| parts.0.is_some() && parts.1.is_some());
+        let looks = hits.clone().filter(|parts| parts.1.as_ref().is_some_and(|look| !look.counts.is_empty()));
+        self.steps.count(StepKind::Bricks, hits.clone().count(), 0, 0);
+        self.steps.count(StepKind::Attributes, looks.count(), 0, 0);
+        if !missing.is_empty() {
+            let maker = Maker::new(self, emits, missing.iter().flat_map(|&i| &cells[i].runs));
+            self.progress.begin("octree", missing.len() as u64, "bricks");
+            let make = |&index: &usize, waits: bool| {
+                let made = maker.make_or_wait(&cells[index], &keys[index], waits)?;
+                if made.is_some() {
+                    self.progress.advance(1);
+                }
+                Ok::<_, BakeError>((index, made))
+            };
+            let mut results: Vec<(usize, Option<(Part, Part)>)> = if self.device.is_some() {
+                missing.iter().map(|index| make(index, false)).collect::<Result<_, _>>()?
+            } else {
+                missing
+                    .par_iter()
+                    .with_max_len(1)
+                    .map(|index| make(index, false))
+                    .collect::<Result<_, _>>()?
+            };
+            // What other processes were at: theirs by now, or ours.
+            for (index, result) in &mut results {
+                if result.is_none() {
+                    *result = make(index, true)?.1;
+                }
+            }
+            for (index, result) in results {
+                if let Some((shape, look)) = result {
+                    found[index] = (Some(shape), Some(look));
+                }
+            }
+        }
+        let regions: Vec<Region> = cells
+            .iter()
+            .zip(found)
+            .filter_map(|(cell, parts)| match parts {
+                (Some(shape), Some(look)) if !look.counts.is_empty() => {
+                    Some(Region { code: cell.code, shape, look })
+                }
+                _ => None,
+            })
+            .collect();
+        if regions.is_empty() {
+            return Err(self.nothing());
+        }
+        Octree::join(grid, emits, regions)
+    }
+
+    /// Why there are no voxels.
+    fn nothing(&self) -> BakeError {
+        let cutouts = Cutouts::new(self.scene);
+        if LatticeTriangles::new(self.scene, &cutouts, |_| [0; 3]).triangles.is_empty() {
+            return BakeError::AllTransparent;
+        }
+        BakeError::NoVoxels { levels: self.options.levels }
+    }
+
+    /// The parts of a brick that the store has. An empty shape stands for the look, too.
+    fn find(&self, keys: &RegionKeys, emits: bool) -> (Option<Part>, Option<Part>) {
+        let bits = self.grid.bits();
+        let fine = FINE_LEVELS.min(bits + 1) as usize;
+        let shape = self.steps.find(SHAPES, &keys.shape, |value| {
+            Part::load(value, 2 * fine.saturating_sub(1)).filter(|part| self.has_levels(part))
+        });
+        if shape.as_ref().is_some_and(|shape| shape.counts.is_empty()) {
+            return (shape, Some(Part::nothing()));
+        }
+        let planes = if emits { 10 } else { 6 };
+        let look = self.steps.find(LOOKS, &keys.look, |value| {
+            Part::load(value, planes * fine).filter(|part| self.has_levels(part))
+        });
+        (shape, look)
+    }
+
+    fn has_levels(&self, part: &Part) -> bool {
+        part.counts.is_empty() || part.counts.len() == self.grid.bits() as usize + 1
+    }
+}
+
+/// Whether any drawn material emits light.
+fn emits(scene: &Scene) -> bool {
+    let glows = |mesh| crate::triangles::material_of(scene, mesh).emissive.max_element() > 0.0;
+    scene.instances.iter().any(|instance| glows(&scene.meshes[instance.mesh as usize]))
+}
+
+/// Makes bricks.
+struct Maker<'a> {
+    job: &'a OctreeJob<'a>,
+    emits: bool,
+    cutouts: Cutouts,
+    appearance: Appearance<'a>,
+}
+
+impl<'a> Maker<'a> {
+    /// Prepares for the bricks that these runs reach into.
+    fn new<'r>(job: &'a OctreeJob<'a>, emits: bool, runs: impl Iterator<Item = &'r u32>) -> Self {
+        let mut wanted = vec![false; job.scene.meshes.len()];
+        for run in runs {
+            let instance = job.runs.runs[*run as usize].instance;
+            wanted[job.scene.instances[instance as usize].mesh as usize] = true;
+        }
+        let cutouts = Cutouts::of_meshes(job.scene, |mesh| wanted[mesh]);
+        let voxel_size = job.grid.cube.size / f64::from(job.grid.grid.size());
+        let appearance = Appearance::of_meshes(job.scene, voxel_size, |mesh| wanted[mesh]);
+        Self { job, emits, cutouts, appearance }
+    }
+
+    /// A brick's parts; `None` where another process is at it and `waits` is not set.
+    fn make_or_wait(
+        &self,
+        cell: &Cell,
+        keys: &RegionKeys,
+        waits: bool,
+    ) -> Result<Option<(Part, Part)>, BakeError> {
+        let steps = self.job.steps;
+        let is_cancelled = || self.job.progress.cancelled();
+        if is_cancelled() {
+            return Err(BakeError::Cancelled);
+        }
+        let claim =
+            if waits { steps.claim_or_wait(&keys.look, is_cancelled) } else { steps.claim(&keys.look) };
+        let claim = match claim {
+            Claim::Theirs if waits => return Err(BakeError::Cancelled),
+            Claim::Theirs => return Ok(None),
+            Claim::Mine(claim) => Some(Arc::new(claim)),
+            Claim::Unknown => None,
+        };
+        // Another process may have finished between our look into the store and our claim.
+        let (shape, look) = self.job.find(keys, self.emits);
+        let (has_shape, has_look) = (shape.is_some(), look.is_some());
+        let (shape, look) = match (shape, look) {
+            (Some(shape), Some(look)) => (shape, look),
+            (shape, _) => {
+                let [made, look] = self.make(cell)?;
+                (shape.unwrap_or(made), look)
+            }
+        };
+        self.keep(keys, (&shape, has_shape), (&look, has_look), claim);
+        Ok(Some((shape, look)))
+    }
+
+    fn keep(
+        &self,
+        keys: &RegionKeys,
+        (shape, has_shape): (&Part, bool),
+        (look, has_look): (&Part, bool),
+        claim: Option<Arc<ClaimGuard>>,
+    ) {
+        let steps = self.job.steps;
+        steps.count(StepKind::Bricks, usize::from(has_shape), usize::from(!has_shape), 0);
+        if !look.counts.is_empty() {
+            steps.count(StepKind::Attributes, usize::from(has_look), usize::from(!has_look), 0);
+        }
+        if steps.has_store() && !has_shape {
+            steps.keep(SHAPES, keys.shape, shape.save(), claim.clone());
+        }
+        if steps.has_store() && !has_look && !look.counts.is_empty() {
+            steps.keep(LOOKS, keys.look, look.save(), claim);
+        }
+    }
+
+    fn make(&self, cell: &Cell) -> Result<[Part; 2], BakeError> {
+        let job = self.job;
+        let RegionGrid { cube, grid } = job.grid;
+        let pieces: Vec<_> = cell
+            .runs
+            .iter()
+            .map(|run| &job.runs.runs[*run as usize])
+            .map(|run| (run.instance, run.triangles.clone()))
+            .collect();
+        let triangles =
+            LatticeTriangles::of_pieces(job.scene, &self.cutouts, &pieces, |p| cube.snap(grid, p.to_array()));
+        let bits = job.grid.bits();
+        let brick_bits = if job.device.is_some() { bits } else { CPU_BRICK_BITS.min(bits) };
+        let bricks = Bricks::new(grid, brick_bits, &triangles.triangles);
+        let below = 3 * (bits - brick_bits);
+        let inside = bricks.range(cell.code << below, (cell.code + 1) << below);
+        let finish = |code: u32, fragments, members: &[u32]| {
+            let local = code & ((1 << below) - 1);
+            Brick::new(local, brick_bits, fragments, members, &triangles, &self.appearance)
+        };
+        let made: Vec<Brick> = match job.device {
+            None => inside
+                .into_par_iter()
+                .filter_map(|i| {
+                    let (code, clip, members) = bricks.brick(i);
+                    let fragments = brick_fragments(grid, &clip, &triangles, &self.cutouts, &members);
+                    finish(code, fragments, &members)
+                })
+                .collect(),
+            Some(device) => {
+                let mut made = Vec::new();
+                for i in inside {
+                    let (code, clip, members) = bricks.brick(i);
+                    let part = triangles.part(&members);
+                    let batch = part.batch(&self.cutouts);
+                    let fragments = device.fragments(grid, &clip, &batch)?;
+                    if job.options.voxels_from == VoxelsFrom::Peel {
+                        let peeled = device.peel(grid, &clip, &batch)?;
+                        same_voxels(&clip, &peeled, &fragments)?;
+                    }
+                    made.extend(finish(code, fragments, &members));
+                }
+                made
+            }
+        };
+        if made.is_empty() {
+            return Ok([Part::nothing(), Part::nothing()]);
+        }
+        Ok(split(job.grid, self.emits, &octree::join(bits, brick_bits, made)))
+    }
+}
+
+impl Octree {
+    fn join(grid: RegionGrid, emits: bool, regions: Vec<Region>) -> Result<Self, BakeError> {
+        let disagree =
+            || BakeError::Disagreement("a brick of the octree does not fit its neighbours".to_owned());
+        let depth = grid.grid.bits;
+        let bits = grid.bits();
+        let top = (depth - bits) as usize;
+        let coarse_levels = (bits + 1).saturating_sub(FINE_LEVELS) as usize;
+        let planes = if emits { 10 } else { 6 };
+        let mut coarse = vec![SvoLevel::default(); if coarse_levels == 0 { 0 } else { top + coarse_levels }];
+        for region in &regions {
+            let (mut shape, mut look) = (Reader(&region.shape.coarse), Reader(&region.look.coarse));
+            for local in 0..coarse_levels {
+                let nodes = region.look.counts[local] as usize;
+                let take = |reader: &mut Reader<'_>, count: usize| -> Option<Vec<Vec<u8>>> {
+                    (0..count).map(|_| reader.bytes(nodes).map(<[u8]>::to_vec)).collect()
+                };
+                let shape = take(&mut shape, 2).ok_or_else(disagree)?;
+                let look = take(&mut look, planes).ok_or_else(disagree)?;
+                let from = level_of(&shape, &look).ok_or_else(disagree)?;
+                let into = &mut coarse[top + local];
+                into.child_masks.extend(from.child_masks);
+                into.colors.extend(from.colors);
+                into.normals.extend(from.normals);
+                into.cones.extend(from.cones);
+                into.coverages.extend(from.coverages);
+                into.emissive.extend(from.emissive);
+            }
+        }
+        let mut codes: Vec<u32> = regions.iter().map(|region| region.code).collect();
+        octree::build_above(&mut coarse, top, &mut codes);
+        let mut nodes = vec![0u64; depth as usize + 1];
+        for (level, count) in coarse.iter().zip(&mut nodes) {
+            *count = level.colors.len() as u64;
+        }
+        for region in &regions {
+            for (local, count) in region.look.counts.iter().enumerate().skip(coarse_levels) {
+                nodes[top + local] += u64::from(*count);
+            }
+        }
+        let info = SvoInfo {
+            origin: grid.cube.origin,
+            size: grid.cube.size,
+            levels: depth,
+            emissive: u32::from(emits),
+            leaves: nodes[depth as usize],
+            nodes: nodes.iter().sum(),
+        };
+        Ok(Self { grid, emits, regions, coarse, info })
+    }
+
+    /// Appends the octree's levels: geometry of all levels first, then attributes, coarse levels first.
+    pub fn write<W: Write + Seek>(&self, writer: &mut ArchiveWriter<W>) -> Result<(), BakeError> {
+        let depth = self.grid.grid.bits;
+        let look_sections = [
+            (name::SVO_COLORS, 0..3),
+            (name::SVO_NORMALS, 3..5),
+            (name::SVO_CONES, 5..6),
+            (name::SVO_EMISSIVE, 6..10),
+        ];
+        for level in 0..depth {
+            self.write_section(writer, name::SVO_MASKS, level, 0..1, false)?;
+        }
+        for level in 0..=depth {
+            if level < depth {
+                self.write_section(writer, name::SVO_COVERAGES, level, 1..2, false)?;
+            }
+            for (section, planes) in &look_sections[..if self.emits { 4 } else { 3 }] {
+                self.write_section(writer, section, level, planes.clone(), true)?;
+            }
+        }
+        Ok(())
+    }
+
+    /// Appends some planes of the shape or of the look of a level.
+    fn write_section<W: Write + Seek>(
+        &self,
+        writer: &mut ArchiveWriter<W>,
+        section: &str,
+        level: u32,
+        planes: std::ops::Range<usize>,
+        is_look: bool,
+    ) -> Result<(), BakeError> {
+        writer.begin_section(section, level)?;
+        if let Some(level) = self.coarse.get(level as usize) {
+            let all = if is_look { look_planes(level, self.emits) } else { shape_planes(level).to_vec() };
+            writer.append_raw(&all[planes].concat())?;
+            return Ok(());
+        }
+        let per_level = match (is_look, self.emits) {
+            (false, _) => 2,
+            (true, false) => 6,
+            (true, true) => 10,
+        };
+        let fine_level = level as usize - self.coarse.len();
+        for plane in planes {
+            for region in &self.regions {
+                let part = if is_look { &region.look } else { &region.shape };
+                for chunk in &part.fine[fine_level * per_level + plane] {
+                    writer.append(chunk)?;
+                }
+            }
+        }
+        Ok(())
+    }
+}
