@@ -116,6 +116,7 @@ fn ninja_bakes_what_has_changed() {
 }
 
 #[test]
+#[ignore = "compiles the library anew, for minutes"]
 fn cargo_bakes_what_has_changed() {
     let copy = Copy::new();
     // The example names this repository by a relative path; everything else is as a user has it. The same versions of
