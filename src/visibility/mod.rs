@@ -11,6 +11,7 @@ mod stage;
 
 use manyview_shaders::device::DeviceError;
 pub use manyview_shaders::types::{LightPoint, Receiver, Segment};
+#[cfg(feature = "bake")]
 pub(crate) use maps::LookUp;
 pub use maps::{Bias, MapVisibility, is_hidden};
 pub use none::NoShadows;

@@ -37,7 +37,7 @@
 //! - An entry is written to `tmp`, synced and renamed: it is there completely or not at all.
 //! - A broken entry is a warning and a miss; it is removed, and whoever needs it makes it anew.
 //! - Any entry may go at any time; that is a miss, never an error. So nothing needs a lock to read.
-//! - Locks are the system's own locks on files ([`lease`]): a killed process leaves none.
+//! - Locks are the system's own locks on files (`lease`): a killed process leaves none.
 //! - A store that cannot be written (full disk, no permission) makes bakes slower, not wrong.
 
 mod entry;
