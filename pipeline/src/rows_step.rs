@@ -5,7 +5,7 @@
 //!
 //! Where something moves, every direction sees it, but in few of its rows. Then a pack is made from the last bake's:
 //! the rows that a point has come to or gone from are emptied and filled anew from the points above and below them;
-//! the others stay ([`Change::patch`]). The result is what a clean bake makes, bit for bit.
+//! the others stay (`Change::patch`). The result is what a clean bake makes, bit for bit.
 
 use crate::bake::{BakeError, Progress};
 use crate::points::coarse_boxes;
