@@ -25,7 +25,7 @@ pub use mirrors::{Mirrors, Sphere};
 use crate::views::ViewMaps;
 use glam::Vec3;
 use manyview_shaders::paraboloid::{direction as texel_place, project, texel};
-use manyview_shaders::srgb::LINEAR_FROM_SRGB;
+use manyview_shaders::srgb;
 
 /// Halvings of the last step.
 const BISECTIONS: u32 = 6;
@@ -114,7 +114,7 @@ fn color_in(maps: &ViewMaps, map: usize, direction: Vec3) -> Option<Vec3> {
         let index = texel(texel_place(half, middle, resolution), 1.0, resolution) as usize;
         if maps.depth(map, index) < f32::INFINITY {
             let [r, g, b, _] = maps.colors()[first + index];
-            let linear = [r, g, b].map(|c| f32::from(LINEAR_FROM_SRGB[usize::from(c)]) / 65535.0);
+            let linear = [r, g, b].map(srgb::linear);
             sum += Vec3::from(linear) * weight;
             weights += weight;
         }

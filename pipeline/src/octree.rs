@@ -297,12 +297,7 @@ pub fn join(bits: u32, brick_bits: u32, bricks: Vec<Brick>) -> Vec<SvoLevel> {
     let mut codes: Vec<u32> = bricks.iter().map(|b| b.code).collect();
     for brick in bricks {
         for (into, from) in levels[top..].iter_mut().zip(brick.levels) {
-            into.child_masks.extend(from.child_masks);
-            into.colors.extend(from.colors);
-            into.normals.extend(from.normals);
-            into.cones.extend(from.cones);
-            into.coverages.extend(from.coverages);
-            into.emissive.extend(from.emissive);
+            into.append(from);
         }
     }
     build_above(&mut levels, top, &mut codes);

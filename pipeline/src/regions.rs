@@ -8,22 +8,24 @@
 //!
 //! Voxels are made in smaller bricks ([`crate::octree`]), which show nowhere.
 
+mod part;
+
 use crate::appearance::Appearance;
 use crate::bake::{BakeError, BakeOptions, Progress, VoxelsFrom, same_voxels};
 use crate::cube::SceneCube;
 use crate::octree::{self, Brick, Bricks, brick_fragments};
 use crate::runs::{Cell, CellRuns, Runs};
 use crate::scene::Scene;
-use crate::sections::planes;
 use crate::steps::{LOOKS, Reader, SHAPES, StepKind, Steps, step_key};
 use crate::triangles::{Cutouts, LatticeTriangles};
-use manyview_cache::archive::{ArchiveWriter, CompressedChunk, DEFAULT_LEVEL};
+use manyview_cache::archive::ArchiveWriter;
 use manyview_cache::digest::Digest;
 use manyview_cache::store::{Claim, ClaimGuard};
 use manyview_shaders::device::VoxelDevice;
 use manyview_shaders::raster::Grid;
 use manyview_shaders::sections::{SvoInfo, name};
 use manyview_shaders::svo::SvoLevel;
+use part::{Part, SHAPE_PLANES, level_of, look_plane_count, look_planes, shape_planes, split};
 use rayon::prelude::*;
 use std::io::{Seek, Write};
 use std::sync::Arc;
@@ -102,116 +104,11 @@ pub struct RegionKeys {
     pub look: Digest,
 }
 
-/// A piece of a brick's result: bytes of the coarse levels, chunks of the fine ones in a fixed order.
-#[derive(Debug, Clone, PartialEq, Eq)]
-struct Part {
-    /// Nodes of each level, the brick's root first; empty in an empty brick.
-    counts: Vec<u32>,
-    coarse: Vec<u8>,
-    /// One list for each byte plane of each fine level.
-    fine: Vec<Vec<CompressedChunk>>,
-}
-
-impl Part {
-    fn save(&self) -> Vec<u8> {
-        let mut value = Vec::new();
-        value.extend((self.counts.len() as u32).to_le_bytes());
-        self.counts.iter().for_each(|count| value.extend(count.to_le_bytes()));
-        let coarse = CompressedChunk::compress_all(&self.coarse, DEFAULT_LEVEL);
-        for chunks in std::iter::once(&coarse).chain(&self.fine) {
-            value.extend((chunks.len() as u32).to_le_bytes());
-            chunks.iter().for_each(|chunk| chunk.save(&mut value));
-        }
-        value
-    }
-
-    fn load(value: &[u8], lists: usize) -> Option<Self> {
-        let mut reader = Reader(value);
-        let levels = reader.u32()?;
-        let counts: Vec<u32> = (0..levels).map(|_| reader.u32()).collect::<Option<_>>()?;
-        let mut list = || -> Option<Vec<CompressedChunk>> {
-            let chunks = reader.u32()?;
-            (0..chunks).map(|_| CompressedChunk::load(&mut reader.0)).collect()
-        };
-        let mut coarse = Vec::new();
-        for chunk in list()? {
-            coarse.extend(chunk.content().ok()?);
-        }
-        let fine = (0..if levels == 0 { 0 } else { lists }).map(|_| list()).collect::<Option<_>>()?;
-        reader.end()?;
-        Some(Self { counts, coarse, fine })
-    }
-
-    fn nothing() -> Self {
-        Self { counts: Vec::new(), coarse: Vec::new(), fine: Vec::new() }
-    }
-}
-
-/// Byte planes of a level's shape, in the order of their chunks and sections.
-fn shape_planes(level: &SvoLevel) -> [Vec<u8>; 2] {
-    [level.child_masks.clone(), level.coverages.clone()]
-}
-
-/// Byte planes of a level's look.
-fn look_planes(level: &SvoLevel, emits: bool) -> Vec<Vec<u8>> {
-    let split = |planes: Vec<u8>, count: usize| -> Vec<Vec<u8>> {
-        let each = planes.len() / count;
-        (0..count).map(|i| planes[i * each..(i + 1) * each].to_vec()).collect()
-    };
-    let mut all = split(planes(&level.colors, |c| *c), 3);
-    all.extend(split(planes(&level.normals, |n| n.map(|c| c as u8)), 2));
-    all.push(level.cones.clone());
-    if emits {
-        all.extend(split(planes(&level.emissive, |e| e.to_le_bytes()), 4));
-    }
-    all
-}
-
-/// A level from its byte planes.
-fn level_of(shape: &[Vec<u8>], look: &[Vec<u8>]) -> Option<SvoLevel> {
-    let nodes = look.first()?.len();
-    let byte = |plane: usize, node: usize| look[plane][node];
-    Some(SvoLevel {
-        child_masks: shape.first().cloned().unwrap_or_default(),
-        coverages: shape.get(1).cloned().unwrap_or_default(),
-        colors: (0..nodes).map(|i| [byte(0, i), byte(1, i), byte(2, i)]).collect(),
-        normals: (0..nodes).map(|i| [byte(3, i) as i8, byte(4, i) as i8]).collect(),
-        cones: look[5].clone(),
-        emissive: if look.len() > 6 {
-            (0..nodes).map(|i| u32::from_le_bytes([byte(6, i), byte(7, i), byte(8, i), byte(9, i)])).collect()
-        } else {
-            Vec::new()
-        },
-    })
-}
-
 /// A brick with its results.
 struct Region {
     code: u32,
     shape: Part,
     look: Part,
-}
-
-/// Cuts a brick's levels into its two parts.
-fn split(grid: RegionGrid, emits: bool, levels: &[SvoLevel]) -> [Part; 2] {
-    let counts: Vec<u32> = levels.iter().map(|level| level.colors.len() as u32).collect();
-    let part = |planes_of: &(dyn Fn(&SvoLevel) -> Vec<Vec<u8>> + Sync), levels: &[SvoLevel]| {
-        let mut coarse = Vec::new();
-        let mut fine = Vec::new();
-        for (local, level) in (0..).zip(levels) {
-            for plane in planes_of(level) {
-                if grid.is_fine(local) {
-                    fine.push(plane);
-                } else {
-                    coarse.extend(plane);
-                }
-            }
-        }
-        let fine = fine.par_iter().map(|plane| CompressedChunk::compress_all(plane, DEFAULT_LEVEL)).collect();
-        Part { counts: counts.clone(), coarse, fine }
-    };
-    let inner = &levels[..levels.len() - 1];
-    [part(&|level| shape_planes(level).to_vec(), inner), part(&|level| look_planes(level, emits), levels)]
 }
 
 /// The octree, ready to be written.
@@ -319,12 +216,12 @@ impl OctreeJob<'_> {
         let bits = self.grid.bits();
         let fine = FINE_LEVELS.min(bits + 1) as usize;
         let shape = self.steps.find(SHAPES, &keys.shape, |value| {
-            Part::load(value, 2 * fine.saturating_sub(1)).filter(|part| self.has_levels(part))
+            Part::load(value, SHAPE_PLANES * fine.saturating_sub(1)).filter(|part| self.has_levels(part))
         });
         if shape.as_ref().is_some_and(|shape| shape.counts.is_empty()) {
             return (shape, Some(Part::nothing()));
         }
-        let planes = if emits { 10 } else { 6 };
+        let planes = look_plane_count(emits);
         let look = self.steps.find(LOOKS, &keys.look, |value| {
             Part::load(value, planes * fine).filter(|part| self.has_levels(part))
         });
@@ -478,7 +375,7 @@ impl Octree {
         let bits = grid.bits();
         let top = (depth - bits) as usize;
         let coarse_levels = (bits + 1).saturating_sub(FINE_LEVELS) as usize;
-        let planes = if emits { 10 } else { 6 };
+        let planes = look_plane_count(emits);
         let mut coarse = vec![SvoLevel::default(); if coarse_levels == 0 { 0 } else { top + coarse_levels }];
         for region in &regions {
             let (mut shape, mut look) = (Reader(&region.shape.coarse), Reader(&region.look.coarse));
@@ -487,16 +384,10 @@ impl Octree {
                 let take = |reader: &mut Reader<'_>, count: usize| -> Option<Vec<Vec<u8>>> {
                     (0..count).map(|_| reader.bytes(nodes).map(<[u8]>::to_vec)).collect()
                 };
-                let shape = take(&mut shape, 2).ok_or_else(disagree)?;
+                let shape = take(&mut shape, SHAPE_PLANES).ok_or_else(disagree)?;
                 let look = take(&mut look, planes).ok_or_else(disagree)?;
                 let from = level_of(&shape, &look).ok_or_else(disagree)?;
-                let into = &mut coarse[top + local];
-                into.child_masks.extend(from.child_masks);
-                into.colors.extend(from.colors);
-                into.normals.extend(from.normals);
-                into.cones.extend(from.cones);
-                into.coverages.extend(from.coverages);
-                into.emissive.extend(from.emissive);
+                coarse[top + local].append(from);
             }
         }
         let mut codes: Vec<u32> = regions.iter().map(|region| region.code).collect();
@@ -559,11 +450,7 @@ impl Octree {
             writer.append_raw(&all[planes].concat())?;
             return Ok(());
         }
-        let per_level = match (is_look, self.emits) {
-            (false, _) => 2,
-            (true, false) => 6,
-            (true, true) => 10,
-        };
+        let per_level = if is_look { look_plane_count(self.emits) } else { SHAPE_PLANES };
         let fine_level = level as usize - self.coarse.len();
         for plane in planes {
             for region in &self.regions {

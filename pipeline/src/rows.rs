@@ -67,6 +67,37 @@ pub const POINT_BITS_ABOVE_VOXELS: u32 = 1;
 /// Finest grid of cells that points are kept by: Morton codes have 10 bits per axis.
 const MAX_POINT_BITS: u32 = 10;
 
+impl RowsOptions {
+    /// The head of the sections of rows on a lattice.
+    pub fn info(self, lattice: &RowLattice) -> RowsInfo {
+        let (set_kind, set_a, set_b) = match self.directions {
+            DirectionSet::LatLong { thetas, phis } => (0, thetas, phis),
+            DirectionSet::Octahedral { size } => (1, size, 0),
+        };
+        let mut info = RowsInfo {
+            bits: self.bits,
+            set_kind,
+            set_a,
+            set_b,
+            fit: match self.fit {
+                Fit::Cube => 0,
+                Fit::Extent => 1,
+            },
+            source: match self.from {
+                RowsFrom::Peel => 0,
+                RowsFrom::Rotate => 1,
+                RowsFrom::Points => 2,
+            },
+            directions: self.directions.count(),
+            block_directions: 0,
+            center: lattice.center,
+            half_extent: lattice.half_extent,
+        };
+        info.block_directions = (MAX_CHUNK_BYTES / info.direction_bytes()) as u32;
+        info
+    }
+}
+
 /// Everything that the blocks of rows are made from.
 pub struct RowsPlan<'a> {
     options: RowsOptions,
@@ -134,31 +165,7 @@ impl<'a> RowsPlan<'a> {
 
     /// The head of the rows' sections.
     pub fn info(&self) -> RowsInfo {
-        let (set_kind, set_a, set_b) = match self.options.directions {
-            DirectionSet::LatLong { thetas, phis } => (0, thetas, phis),
-            DirectionSet::Octahedral { size } => (1, size, 0),
-        };
-        let mut info = RowsInfo {
-            bits: self.options.bits,
-            set_kind,
-            set_a,
-            set_b,
-            fit: match self.options.fit {
-                Fit::Cube => 0,
-                Fit::Extent => 1,
-            },
-            source: match self.options.from {
-                RowsFrom::Peel => 0,
-                RowsFrom::Rotate => 1,
-                RowsFrom::Points => 2,
-            },
-            directions: self.options.directions.count(),
-            block_directions: 0,
-            center: self.lattice.center,
-            half_extent: self.lattice.half_extent,
-        };
-        info.block_directions = (MAX_CHUNK_BYTES / info.direction_bytes()) as u32;
-        info
+        self.options.info(&self.lattice)
     }
 
     /// The rows of some directions, voxelized on the CPU; layout of `rows.bits` ([`manyview_shaders::sections`]).

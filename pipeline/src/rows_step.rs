@@ -245,9 +245,7 @@ impl RowsJob<'_> {
             ..Forecast::default()
         };
         let directions = self.options.directions.count() as usize;
-        let (triangles, cutouts) = Default::default();
-        let plan = RowsPlan::with_frames(self.options, self.lattice, &triangles, &cutouts, vec![], vec![]);
-        let block = plan.info().block_directions as usize;
+        let block = self.options.info(&self.lattice).block_directions as usize;
         let blocks = |directions: usize| directions.div_ceil(block) as u64;
         // The points are the last bake's: so are the frames.
         let is_last = is_known && last.as_ref().is_some_and(|last| last.points_key == points_key);
@@ -364,11 +362,8 @@ impl RowsRun<'_> {
 
     /// Appends `rows.info`.
     pub fn write_info<W: Write + Seek + Send>(&self, writer: &mut ArchiveWriter<W>) -> Result<(), BakeError> {
-        let (triangles, cutouts) = Default::default();
-        let plan =
-            RowsPlan::with_frames(self.job.options, self.job.lattice, &triangles, &cutouts, vec![], vec![]);
         writer.begin_section(name::ROWS_INFO, 0)?;
-        writer.append_raw(bytemuck::bytes_of(&plan.info()))?;
+        writer.append_raw(bytemuck::bytes_of(&self.job.options.info(&self.job.lattice)))?;
         Ok(())
     }
 

@@ -23,6 +23,12 @@ pub const LINEAR_FROM_SRGB: [u16; 256] = [
     57105, 57646, 58190, 58737, 59287, 59840, 60396, 60955, 61517, 62082, 62650, 63221, 63795, 64372, 64952, 65535,
 ];
 
+/// The linear value of an sRGB code, 0 to 1.
+#[inline]
+pub fn linear(code: u8) -> f32 {
+    f32::from(LINEAR_FROM_SRGB[usize::from(code)]) / 65535.0
+}
+
 /// The sRGB code whose linear value is nearest to `linear` (of 65535); ties go up.
 #[inline]
 pub fn srgb_from_linear(linear: u16) -> u8 {

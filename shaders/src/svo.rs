@@ -44,6 +44,16 @@ impl SvoLevel {
             emissive: Vec::new(),
         }
     }
+
+    /// Takes the nodes of `next`, which come behind these in Morton order.
+    pub fn append(&mut self, next: Self) {
+        self.child_masks.extend(next.child_masks);
+        self.colors.extend(next.colors);
+        self.normals.extend(next.normals);
+        self.cones.extend(next.cones);
+        self.coverages.extend(next.coverages);
+        self.emissive.extend(next.emissive);
+    }
 }
 
 /// A sparse voxel octree over a scene cube.
@@ -111,6 +121,11 @@ impl Svo {
     /// The number of the deepest level (`--levels`).
     pub fn depth(&self) -> u32 {
         self.levels.len() as u32 - 1
+    }
+
+    /// Edge of a cell of the deepest level, metres.
+    pub fn voxel_size(&self) -> f64 {
+        self.size / f64::from(1u32 << self.depth())
     }
 
     /// Nodes of a level.

@@ -147,9 +147,9 @@ pub(crate) fn memory_size(text: &str) -> Result<u64, String> {
 }
 
 impl Options {
-    /// Whether everything on stderr has to be a JSON event.
-    pub(crate) fn tells_events(&self) -> bool {
-        self.format == Format::Json
+    /// With `json`, everything on stderr has to be an event.
+    pub(crate) fn format(&self) -> Format {
+        self.format
     }
 }
 
@@ -164,7 +164,7 @@ fn warn(format: Format, warnings: &[String]) {
 
 /// Runs the command.
 pub(crate) fn run(options: &Options) -> CliResult {
-    if options.tells_events() {
+    if options.format == Format::Json {
         cancel::tell_events();
     }
     if options.watch {

@@ -281,7 +281,7 @@ fn views(
     let bounced = |bounces: u32| {
         let (lamp, exact, primaries) = (&lamp, &exact, &primaries);
         // Off the surface's own voxel.
-        let lift_metres = 1.5 * (fine.svo.size / f64::from(1u32 << fine.svo.depth())) as f32;
+        let lift_metres = 1.5 * fine.svo.voxel_size() as f32;
         let make = move |count: u32| {
             let options = VplOptions { count: count as usize, bounces, seed: args.seed, indirect_only: true };
             let found = radiosity::trace(&lamp.scene, exact, primaries, &options);

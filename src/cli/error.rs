@@ -10,6 +10,9 @@ use manyview_cache::archive::ArchiveErrorKind;
 use manyview_cache::atomic::AtomicFileError;
 use manyview_pipeline::import::ImportError;
 use manyview_pipeline::run::RunError;
+use serde_json::json;
+
+use super::Format;
 
 /// The exit codes that all commands share.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
@@ -78,6 +81,18 @@ impl CliError {
         match self.error.downcast_ref::<RunError>() {
             Some(RunError::Import(ImportError::Unreadable { path, .. })) => Some(path.clone()),
             _ => None,
+        }
+    }
+
+    /// Says on stderr what is wrong, in words or as a JSON event.
+    pub(crate) fn tell(&self, format: Format) {
+        let message = self.to_string();
+        match format {
+            Format::Json => {
+                let exit_code = self.exit as i32;
+                eprintln!("{}", json!({ "event": "error", "exit_code": exit_code, "message": message }));
+            }
+            Format::Text => eprintln!("error: {message}"),
         }
     }
 

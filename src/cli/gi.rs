@@ -72,7 +72,7 @@ pub(super) fn light_over_points(
     let lit_seconds = clock.elapsed().as_secs_f64();
     let places = Places::choose(gbuffer, points.views as usize, spread);
     let receivers = receivers(gbuffer, &places);
-    let voxel_metres = (svo.size / f64::from(1u32 << svo.depth())) as f32;
+    let voxel_metres = svo.voxel_size() as f32;
     let leaves = svo.node_count(svo.depth() as usize);
     let renderer: Box<dyn ViewRenderer> = match points.is_exact {
         true => Box::new(RayCast::new(CodedLeaves::new(&svo, &lit))),

@@ -104,15 +104,10 @@ pub(crate) fn main() -> ExitCode {
     match result {
         Ok(Ok(exit)) => exit.into(),
         Ok(Err(error)) => {
-            match &cli.command {
-                Command::Bake(options) if options.tells_events() => {
-                    let (exit_code, message) = (error.exit() as i32, error.to_string());
-                    let event =
-                        serde_json::json!({"event": "error", "exit_code": exit_code, "message": message});
-                    eprintln!("{event}");
-                }
-                _ => eprintln!("error: {error}"),
-            }
+            error.tell(match &cli.command {
+                Command::Bake(options) => options.format(),
+                _ => Format::Text,
+            });
             error.exit().into()
         }
         // The panic's message was printed when it began.

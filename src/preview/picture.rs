@@ -46,7 +46,7 @@ pub(crate) fn display(color: [f32; 3]) -> [u8; 3] {
 
 /// The linear colour of an sRGB code.
 pub(super) fn linear(color: [u8; 3]) -> [f32; 3] {
-    color.map(|c| f32::from(manyview_shaders::srgb::LINEAR_FROM_SRGB[usize::from(c)]) / 65535.0)
+    color.map(manyview_shaders::srgb::linear)
 }
 
 /// A colour from dark blue over red to pale yellow, for `x` from 0 to 1: brightness grows with `x`, so that it reads

@@ -2,7 +2,7 @@
 
 use glam::{DVec2, Vec3};
 use manyview_pipeline::scene::{Scene, Texture, Wrap};
-use manyview_shaders::srgb::{LINEAR_FROM_SRGB, srgb_from_linear};
+use manyview_shaders::srgb::{self, LINEAR_FROM_SRGB, srgb_from_linear};
 use rayon::prelude::*;
 
 /// The textures of a scene that surfaces show, by index; those that nothing shows are left out.
@@ -144,7 +144,7 @@ fn neighbour(index: i64, size: u32, wrap: Wrap) -> usize {
 }
 
 fn linear(color: [u8; 3]) -> Vec3 {
-    Vec3::from(color.map(|c| f32::from(LINEAR_FROM_SRGB[usize::from(c)]) / 65535.0))
+    Vec3::from(color.map(srgb::linear))
 }
 
 #[cfg(test)]

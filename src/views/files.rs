@@ -8,7 +8,7 @@ use exr::prelude::{
     LayerAttributes, LineOrder, SmallVec, WritableImage,
 };
 use manyview_shaders::paraboloid::texel_count;
-use manyview_shaders::srgb::LINEAR_FROM_SRGB;
+use manyview_shaders::srgb;
 use std::io::{self, Seek, SeekFrom, Write};
 
 /// A NumPy file of float32 (n, 2, R, R): view by view the front half and the back half, distances in metres.
@@ -142,7 +142,7 @@ impl MapsPicture {
         let mut channels: SmallVec<[_; 4]> = SmallVec::new();
         if !self.colors.is_empty() {
             for (i, name) in ["R", "G", "B"].into_iter().enumerate() {
-                let linear = |c: &[u8; 4]| f32::from(LINEAR_FROM_SRGB[usize::from(c[i])]) / 65535.0;
+                let linear = |c: &[u8; 4]| srgb::linear(c[i]);
                 let values = self.colors.iter().map(linear).collect();
                 channels.push(AnyChannel::new(name, FlatSamples::F32(values)));
             }

@@ -58,7 +58,7 @@ impl Place {
 
     /// Edge of a cell of the octree, metres.
     pub(crate) fn voxel(&self) -> f64 {
-        self.svo.size / f64::from(1u32 << self.svo.depth())
+        self.svo.voxel_size()
     }
 }
 

@@ -8,7 +8,7 @@ use crate::bench::{BenchError, BenchScene, Random, SceneSource};
 use crate::manylods::{CutState, CutStats, PointCutState, PointCuts, Steps, SvoCuts};
 use crate::reference::{Reference, area_normal};
 use crate::rivals::ism::{IsmOptions, IsmVisibility};
-use crate::views::{Polygons, View, ViewError, ViewRenderer, ViewSettings};
+use crate::views::{Polygons, View, ViewError, ViewMaps, ViewRenderer, ViewSettings};
 use crate::visibility::{LightPoint, Receiver, Visibility, light_words};
 use glam::{DVec3, Quat, Vec3};
 use manyview_pipeline::bake::Progress;
@@ -101,11 +101,9 @@ fn one_scene(scene: &BenchScene, settings: &TableSettings, table: &mut Table) ->
     for (name, steps) in [("octree, incremental", Steps::All), ("octree, lazy", Steps::AtMost(1))] {
         let mut state = CutState::new();
         cuts.render_frame(&mut state, &frames[0], &maps, Steps::All).map_err(failed)?;
-        let begun = Instant::now();
-        for views in &frames[1..] {
-            (_, stats) = cuts.render_frame(&mut state, views, &maps, steps).map_err(failed)?;
-        }
-        push(name, begun.elapsed().as_secs_f64() / (frames.len() - 1) as f64, Some(stats));
+        let frame = |views: &Vec<View>| cuts.render_frame(&mut state, views, &maps, steps);
+        let (seconds, stats) = mean_of(&frames[1..], frame).map_err(failed)?;
+        push(name, seconds, Some(stats));
     }
     let Some(points) = PointCuts::new(&moved(reference, 0.0), POINTS_DEPTH, settings.seed) else {
         return Ok(());
@@ -116,11 +114,9 @@ fn one_scene(scene: &BenchScene, settings: &TableSettings, table: &mut Table) ->
     for (name, steps) in [("points, incremental", Steps::All), ("points, lazy", Steps::AtMost(1))] {
         let mut state = PointCutState::new();
         points.render_frame(&mut state, &frames[0], &maps, Steps::All).map_err(failed)?;
-        let begun = Instant::now();
-        for views in &frames[1..] {
-            (_, stats) = points.render_frame(&mut state, views, &maps, steps).map_err(failed)?;
-        }
-        push(name, begun.elapsed().as_secs_f64() / (frames.len() - 1) as f64, Some(stats));
+        let frame = |views: &Vec<View>| points.render_frame(&mut state, views, &maps, steps);
+        let (seconds, stats) = mean_of(&frames[1..], frame).map_err(failed)?;
+        push(name, seconds, Some(stats));
     }
     Ok(())
 }
@@ -209,6 +205,19 @@ fn moved(reference: &Reference<'_>, angle: f32) -> Vec<[Vec3; 3]> {
         Quat::from_rotation_y(angle * p.y) * p + center
     };
     reference.triangles().iter().map(|triangle| triangle.map(turn)).collect()
+}
+
+/// Seconds a frame, and what the last one did.
+fn mean_of(
+    frames: &[Vec<View>],
+    mut draw: impl FnMut(&Vec<View>) -> Result<(ViewMaps, CutStats), ViewError>,
+) -> Result<(f64, CutStats), ViewError> {
+    let mut stats = CutStats::default();
+    let begun = Instant::now();
+    for views in frames {
+        (_, stats) = draw(views)?;
+    }
+    Ok((begun.elapsed().as_secs_f64() / frames.len() as f64, stats))
 }
 
 fn best_of(times: u32, mut work: impl FnMut() -> Result<(), ViewError>) -> Result<f64, ViewError> {

@@ -54,7 +54,7 @@ pub(super) fn run(options: &Options) -> CliResult {
             Ok(()) => inputs = found.into_iter().collect(),
             // A scene that is broken now may name its files again soon.
             Err(error) => {
-                tell_error(options.format, error.exit() as i32, &error.to_string());
+                error.tell(options.format);
                 inputs.extend(found);
             }
         }
@@ -100,14 +100,5 @@ fn tell<'p>(format: Format, event: &str, paths: impl Iterator<Item = &'p Path>) 
     match format {
         Format::Json => eprintln!("{}", json!({ "event": event, "files": paths })),
         Format::Text => eprintln!("{event:>12}  {}", paths.join(", ")),
-    }
-}
-
-fn tell_error(format: Format, exit_code: i32, message: &str) {
-    match format {
-        Format::Json => {
-            eprintln!("{}", json!({ "event": "error", "exit_code": exit_code, "message": message }));
-        }
-        Format::Text => eprintln!("error: {message}"),
     }
 }

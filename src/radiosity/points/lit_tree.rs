@@ -22,7 +22,7 @@ use crate::visibility::Visibility;
 use glam::{Vec3, Vec4};
 use manyview_pipeline::bake::Progress;
 use manyview_pipeline::scene::PunctualLight;
-use manyview_shaders::srgb::LINEAR_FROM_SRGB;
+use manyview_shaders::srgb;
 use manyview_shaders::svo::Svo;
 use manyview_shaders::{octahedral, rgb9e5};
 use rayon::prelude::*;
@@ -82,7 +82,7 @@ impl LitTree {
         progress: &dyn Progress,
     ) -> Result<Self, RenderError> {
         let lighting = Lighting::new(lights, scene).without_ambient();
-        let voxel = (svo.size / f64::from(1u32 << svo.depth())) as f32;
+        let voxel = svo.voxel_size() as f32;
         Self::with_radiances(svo, lights.len(), |samples| {
             let sides = samples.iter().flat_map(|sample| {
                 [1.0, -1.0].map(|side| {
@@ -270,20 +270,16 @@ impl<'a> Samples<'a> {
 
     fn leaf(&self, leaf: usize, weight: f32) -> Sample {
         let level = &self.svo.levels[self.svo.depth() as usize];
-        let voxel = self.svo.size / f64::from(1u32 << self.svo.depth());
+        let voxel = self.svo.voxel_size();
         let cell = self.cells[leaf];
         let position = [0, 1, 2].map(|i| (self.svo.origin[i] + (f64::from(cell[i]) + 0.5) * voxel) as f32);
         let emissive = level.emissive.get(leaf).map_or([0.0; 3], |&packed| rgb9e5::decode(packed));
         Sample {
             position: position.into(),
             normal: octahedral::decode(level.normals[leaf]).map(|c| c as f32).into(),
-            albedo: level.colors[leaf].map(linear).into(),
+            albedo: level.colors[leaf].map(srgb::linear).into(),
             emissive: emissive.map(|c| c as f32).into(),
             weight,
         }
     }
-}
-
-fn linear(code: u8) -> f32 {
-    f32::from(LINEAR_FROM_SRGB[usize::from(code)]) / 65535.0
 }
