@@ -1,36 +1,7 @@
-//! Any bytes as the stored bytes of a chunk whose digest fits: refused, or content of the declared size. And any bytes
-//! as content: they come back.
+//! See the check.
 #![no_main]
 
-use libfuzzer_sys::fuzz_target;
-use manyview_cache::archive::{ChunkRecord, Codec, CompressedChunk, MAX_CHUNK_BYTES, decode_chunk};
-use manyview_cache::digest::Digest;
+#[path = "../checks/archive_chunk.rs"]
+mod archive_chunk;
 
-fuzz_target!(|data: &[u8]| {
-    let Some((&[size_0, size_1, size_2, codec], stored)) = data.split_first_chunk::<4>() else { return };
-    let raw_bytes = u32::from_le_bytes([size_0, size_1, size_2, 0]).min(MAX_CHUNK_BYTES as u32);
-    let record = ChunkRecord {
-        offset: 64,
-        stored_bytes: stored.len() as u32,
-        raw_bytes,
-        codec: if codec == 0 { Codec::Raw } else { Codec::Zstd },
-        stored_digest: Digest::of(stored),
-    };
-    let mut raw = vec![0; raw_bytes as usize];
-    _ = decode_chunk(&record, stored, &mut raw);
-
-    if (1..=MAX_CHUNK_BYTES).contains(&stored.len()) {
-        let chunk = CompressedChunk::compress(stored, i32::from(codec % 8));
-        let codec = if chunk.stored().len() < stored.len() { Codec::Zstd } else { Codec::Raw };
-        let record = ChunkRecord {
-            offset: 64,
-            stored_bytes: chunk.stored().len() as u32,
-            raw_bytes: chunk.raw_bytes(),
-            codec,
-            stored_digest: Digest::of(chunk.stored()),
-        };
-        let mut back = vec![0; stored.len()];
-        decode_chunk(&record, chunk.stored(), &mut back).expect("what was compressed is decoded");
-        assert_eq!(back, stored);
-    }
-});
+libfuzzer_sys::fuzz_target!(|data: &[u8]| archive_chunk::check(data));

@@ -31,6 +31,7 @@ mod lights;
 mod materials;
 mod meshopt;
 mod nodes;
+mod read_file;
 mod resources;
 #[cfg(test)]
 mod tests;
@@ -113,19 +114,29 @@ pub fn import(path: &Path, options: &ImportOptions) -> Result<Imported, ImportEr
             fix: "raise the memory limit",
         });
     }
-    let bytes = fs_err::read(path).map_err(unreadable)?;
-    let container = container::split(&file, &bytes)?;
+    let bytes = read_file::read_unchanged(path).map_err(unreadable)?;
+    let folder = path.parent().filter(|folder| !folder.as_os_str().is_empty()).unwrap_or(Path::new("."));
+    import_bytes(&file, &bytes, folder, options)
+}
+
+/// Imports a scene whose file holds `bytes`. The name of the `file` is for messages; relative URIs start at `folder`.
+pub fn import_bytes(
+    file: &str,
+    bytes: &[u8],
+    folder: &Path,
+    options: &ImportOptions,
+) -> Result<Imported, ImportError> {
+    let container = container::split(file, bytes)?;
     let value = serde_json::from_slice(&bytes[container.json.clone()]).map_err(|error| {
         let (line, column, text) = (error.line(), error.column(), error.to_string());
         ImportError::Malformed {
-            file: file.clone(),
+            file: file.to_owned(),
             place: format!("JSON line {line}, column {column}"),
             rule: text.rsplit_once(" at line ").map_or(text.as_str(), |(rule, _)| rule).to_owned(),
         }
     })?;
-    let root = Json::root(&file, &value);
+    let root = Json::root(file, &value);
     extensions::check(&root, options.time_seconds.is_some())?;
-    let folder = path.parent().filter(|folder| !folder.as_os_str().is_empty()).unwrap_or(Path::new("."));
     let bin = container.bin.map(|range| &bytes[range]);
     let resources = Resources::new(root, folder, bin, options)?;
     resources.charge(bytes.len() as u64, "the scene file")?;
@@ -136,7 +147,7 @@ pub fn import(path: &Path, options: &ImportOptions) -> Result<Imported, ImportEr
         // Whoever called shows them; here they only help to find where a bake goes wrong.
         tracing::debug!("{file}: {warning}");
     }
-    let mut files = vec![SourceFile { hash: Some(blake3::hash(&bytes)), path: file }];
+    let mut files = vec![SourceFile { hash: Some(blake3::hash(bytes)), path: file.to_owned() }];
     files.extend(others);
     Ok(Imported { scene, files })
 }

@@ -3,6 +3,7 @@
 use super::error::ImportError;
 use super::json::Json;
 use super::meshopt;
+use super::read_file::read_unchanged;
 use super::uri::{self, Location};
 use super::{ImportOptions, SourceFile};
 use std::cell::{Cell, OnceCell, RefCell};
@@ -137,7 +138,7 @@ impl<'a> Resources<'a> {
                 let length =
                     read.inspect_err(|_| self.note_file(relative.clone(), None)).map_err(unreadable)?;
                 self.charge(length, place)?;
-                let bytes = fs_err::read(&path).map_err(unreadable)?;
+                let bytes = read_unchanged(&path).map_err(unreadable)?;
                 self.note_file(relative, Some(&bytes));
                 Ok(bytes)
             }
