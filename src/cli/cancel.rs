@@ -28,6 +28,17 @@ pub(crate) fn catch_interrupt() {
     _ = ctrlc::set_handler(handler);
 }
 
+/// From now on a file that grows beyond the limit on file sizes (`ulimit -f`) is an error of the write, which tells what
+/// to do and cleans up, and no longer the end of the program.
+pub(crate) fn survive_file_size_limits() {
+    #[cfg(unix)]
+    {
+        // The flag does not matter: where a signal has a handler, the write that caused it fails.
+        let flag = std::sync::Arc::new(AtomicBool::new(false));
+        _ = signal_hook::flag::register(signal_hook::consts::SIGXFSZ, flag);
+    }
+}
+
 /// The flag that an interrupt sets. Whoever takes it must look at it often.
 pub(crate) fn watch() -> &'static AtomicBool {
     IS_WATCHED.store(true, Ordering::Relaxed);

@@ -86,6 +86,7 @@ pub(crate) fn main() -> ExitCode {
     let cli = Cli::parse();
     start_log();
     cancel::catch_interrupt();
+    cancel::survive_file_size_limits();
     let result = panic::catch_unwind(|| match &cli.command {
         Command::Bake(options) => bake::run(options),
         Command::Scene(options) => scene::run(options),

@@ -23,6 +23,9 @@ const LONG: [&str; 12] = [
     "peel",
 ];
 
+/// How many bakes are killed at random moments; a few unless it is set.
+const KILLS_VARIABLE: &str = "MANYVIEW_TEST_KILLS";
+
 fn workplace() -> Workplace {
     let work = Workplace::new();
     work.write_scene("scene.glb", &generate(SceneKind::Park, 20_000, 2));
@@ -92,8 +95,12 @@ fn a_killed_bake_loses_nothing_and_the_next_one_cleans_up() {
     let work = workplace();
     let expected = work.bake("scene.glb", "expected.mvb", &[]);
     let mut left_a_part = 0;
-    // Moments from the start into the rows.
-    for milliseconds in [0, 20, 90, 250, 600, 1100] {
+    let kills = std::env::var(KILLS_VARIABLE).map_or(6, |count| count.parse().expect("a number"));
+    let mut state = 0x2545_f491_4f6c_dd1d_u64;
+    for kill in 0..kills {
+        // The first moments are spread evenly from the start into the rows, the others random between them.
+        state = state.wrapping_mul(6_364_136_223_846_793_005).wrapping_add(1_442_695_040_888_963_407);
+        let milliseconds = if kill < 6 { [0, 20, 90, 250, 600, 1100][kill] } else { (state >> 40) % 1200 };
         work.write("out.mvb", b"an older archive");
         let mut child = work.command().args(LONG).stderr(Stdio::null()).spawn().unwrap();
         std::thread::sleep(Duration::from_millis(milliseconds));
@@ -104,6 +111,7 @@ fn a_killed_bake_loses_nothing_and_the_next_one_cleans_up() {
         assert!(work.bake("scene.glb", "out.mvb", &[]) == expected, "after a kill at {milliseconds} ms");
         assert_eq!(work.names(), ["expected.mvb", "out.mvb", "scene.glb"], "{milliseconds} ms");
     }
+    eprintln!("{kills} kills, {left_a_part} of them left a part to clean up");
     assert!(left_a_part > 0, "no kill came while there was something to clean up");
 }
 

@@ -4,6 +4,7 @@
 mod answers;
 mod damage;
 mod determinism;
+mod faults;
 mod interrupts;
 mod reports;
 mod rows;
