@@ -1,4 +1,4 @@
-//! See the check. The bake that is edited is a seed file: `MANYVIEW_SEEDS=fuzz/corpus cargo test --test fuzz_corpus`.
+//! See the check. The bake that is edited is a file among the seeds; `Cargo.toml` says how they are written.
 #![no_main]
 
 #[path = "../checks/archive_content.rs"]

@@ -2,6 +2,7 @@
 //! runs, known answers, bad input, interruptions, recipes.
 
 mod answers;
+mod broken_files;
 mod damage;
 mod determinism;
 mod faults;
