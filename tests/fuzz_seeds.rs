@@ -38,7 +38,7 @@ fn chunks() {
     let seeds = [
         seed(0, &content),
         seed(1, CompressedChunk::compress(&content, 3).stored()),
-        seed(2, CompressedChunk::compress_sparse(&content, 3).stored()),
+        seed(2, CompressedChunk::compress_rows(&content, 16).stored()),
         seed(10, &content),
     ];
     replay("archive_chunk", &seeds, 500, archive_chunk::check);

@@ -79,7 +79,7 @@
 //! | 8 | 4 | stored size |
 //! | 12 | 4 | raw size, 1 to 4 MiB |
 //! | 16 | 32 | digest of the stored bytes |
-//! | 48 | 1 | codec: 0 raw (stored = raw size), 1 one zstd frame (stored < raw size), 2 one zstd frame of the sparse form ([`archive::sparse`]; stored < raw size), 3 tiles ([`archive::tiles`]; stored < raw size). A reader that does not know a codec says so |
+//! | 48 | 1 | codec: 0 raw (stored = raw size), 1 one zstd frame (stored < raw size), 4 rows in tiles ([`archive::tiles`]; stored < raw size); 2 and 3 are those of older versions. A reader that does not know a codec says so |
 //! | 49 | 7 | reserved, 0 |
 //!
 //! The last 16 bytes, as rkyv writes two vectors:

@@ -15,7 +15,7 @@ pub(crate) fn check(data: &[u8]) {
         codec: match codec {
             0 => Codec::Raw,
             1 => Codec::Zstd,
-            _ => Codec::Sparse,
+            _ => Codec::Rows,
         },
         stored_digest: Digest::of(stored),
     };
@@ -26,10 +26,9 @@ pub(crate) fn check(data: &[u8]) {
         let (chunk, compressed) = if codec & 8 == 0 {
             (CompressedChunk::compress(stored, i32::from(codec % 8)), Codec::Zstd)
         } else {
-            // Sizes that have no sparse form are compressed as they are.
-            let chunk = CompressedChunk::compress_sparse(stored, i32::from(codec % 8));
-            let plain = CompressedChunk::compress(stored, i32::from(codec % 8));
-            let compressed = if chunk == plain { Codec::Zstd } else { Codec::Sparse };
+            // What is no whole lines is compressed as it is.
+            let chunk = CompressedChunk::compress_rows(stored, 4 << (codec % 4));
+            let compressed = chunk.codec();
             (chunk, compressed)
         };
         let codec = if chunk.stored().len() < stored.len() { compressed } else { Codec::Raw };

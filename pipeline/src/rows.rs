@@ -202,14 +202,11 @@ impl<'a> RowsPlan<'a> {
     }
 
     /// Compresses a block.
-    pub(crate) fn compress(rows: &[u32]) -> CompressedChunk {
+    pub(crate) fn compress(&self, rows: &[u32]) -> CompressedChunk {
         // The format is little-endian; every target that the bake supports is too.
-        CompressedChunk::compress_tiles(bytemuck::cast_slice(rows), ROWS_ZSTD_LEVEL)
+        CompressedChunk::compress_rows(bytemuck::cast_slice(rows), 1 << (self.options.bits - 3))
     }
 }
-
-/// Tiles of rows are small: level 3 stores them 3 % smaller than level 1 and hardly slower, slower levels little smaller.
-pub(crate) const ROWS_ZSTD_LEVEL: i32 = 3;
 
 /// The points per voxel edge of the rows' points, as log2 of cells a side of their whole grid.
 pub(crate) fn point_bits(options: RowsOptions) -> u32 {

@@ -2,7 +2,7 @@
 
 use crate::bake::BakeError;
 use crate::points_step::{PointCell, PointCells};
-use crate::rows::{ROWS_ZSTD_LEVEL, RowsPlan};
+use crate::rows::RowsPlan;
 use manyview_cache::archive::{CompressedChunk, TILE_BYTES, TileEditor};
 use manyview_shaders::directions::{DirectionFrame, ROW_RAW_BITS};
 use std::ops::Range;
@@ -153,7 +153,7 @@ impl Change {
         old_frames: &[DirectionFrame],
         old: &CompressedChunk,
     ) -> Result<CompressedChunk, BakeError> {
-        let anew = || RowsPlan::compress(&plan.block(frames));
+        let anew = || plan.compress(&plan.block(frames));
         let words = plan.info().direction_bytes() / 4;
         if old.raw_bytes() as usize != words * 4 * frames.len() {
             return Ok(anew());
@@ -263,7 +263,7 @@ impl<'a> Patch<'a> {
         for (tile, _) in is_read.iter().enumerate().filter(|(_, is_read)| **is_read) {
             let end = rows.len().min((tile + 1) * tile_words);
             let content = bytemuck::cast_slice(&rows[tile * tile_words..end]);
-            editor.replace(tiles.start + tile, content, ROWS_ZSTD_LEVEL);
+            editor.replace(tiles.start + tile, content);
         }
         self.rows = rows;
         Ok(())
@@ -377,10 +377,10 @@ mod tests {
                 RowsPlan::with_frames(options, lattice, &triangles, &cutouts, points.to_vec(), frames)
             };
             let (old_plan, new_plan) = (plan(&old), plan(&new));
-            let old_chunk = RowsPlan::compress(&old_plan.block(&old_plan.frames));
+            let old_chunk = old_plan.compress(&old_plan.block(&old_plan.frames));
             let change = Change::between(&cells(&old), &cells(&new)).expect("most is the same");
             let patched = change.patch(&new_plan, &new_plan.frames, &old_plan.frames, &old_chunk).unwrap();
-            prop_assert!(patched == RowsPlan::compress(&new_plan.block(&new_plan.frames)));
+            prop_assert!(patched == new_plan.compress(&new_plan.block(&new_plan.frames)));
         }
     }
 

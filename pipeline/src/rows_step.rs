@@ -30,7 +30,7 @@ use std::sync::Arc;
 /// Versions of the steps: bumped when their results change.
 const FRAMES_VERSION: u32 = 1;
 const CENTERS_VERSION: u32 = 1;
-const ROWS_VERSION: u32 = 2;
+const ROWS_VERSION: u32 = 3;
 
 /// Blocks in one value of the store: enough that syncing files costs nothing, few enough that a killed bake loses
 /// little.
@@ -453,7 +453,7 @@ impl RowsRun<'_> {
                 }
                 let chunk = match change {
                     Some(change) => change.patch(plan, frames, old_frames, chunk)?,
-                    None => RowsPlan::compress(&plan.block(frames)),
+                    None => plan.compress(&plan.block(frames)),
                 };
                 self.job.progress.advance(frames.len() as u64);
                 Ok(chunk)
@@ -475,7 +475,7 @@ impl RowsRun<'_> {
                 .into_par_iter()
                 .map(|frames| {
                     cancelled()?;
-                    let chunk = RowsPlan::compress(&plan.block(frames));
+                    let chunk = plan.compress(&plan.block(frames));
                     progress.advance(frames.len() as u64);
                     Ok(chunk)
                 })
@@ -490,7 +490,7 @@ impl RowsRun<'_> {
                 rows.push(plan.block_on(device, frames)?);
                 progress.advance(frames.len() as u64);
             }
-            chunks.par_extend(rows.into_par_iter().map(|rows| RowsPlan::compress(&rows)));
+            chunks.par_extend(rows.into_par_iter().map(|rows| plan.compress(&rows)));
         }
         Ok(chunks)
     }

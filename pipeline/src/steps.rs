@@ -20,7 +20,7 @@ pub const POINTS: Bucket = Bucket { name: "points", version: 1 };
 /// The frames of all directions.
 pub const FRAMES: Bucket = Bucket { name: "frames", version: 1 };
 /// Compressed rows of some blocks of directions.
-pub const ROWS: Bucket = Bucket { name: "rows", version: 1 };
+pub const ROWS: Bucket = Bucket { name: "rows", version: 2 };
 /// What the last bake with some settings was made from: where the next one starts. The only values that change.
 pub const LATEST: Bucket = Bucket { name: "latest", version: 1 };
 /// What a finished bake read and wrote: by this a bake of the same files ends before it begins.

@@ -155,7 +155,7 @@ pub(crate) fn bake_rows(bits: u32, block_directions: u32, chunk_bytes: usize) ->
     for (item, block) in (0..).zip(all_rows.chunks(block_bytes)) {
         writer.begin_section(name::ROWS_BITS, item).unwrap();
         for chunk in block.chunks(chunk_bytes) {
-            writer.append(&CompressedChunk::compress_sparse(chunk, 1)).unwrap();
+            writer.append(&CompressedChunk::compress_rows(chunk, 1 << (bits - 3))).unwrap();
         }
     }
     writer.finish().unwrap().0
@@ -189,7 +189,7 @@ pub(crate) fn empty_rows(bits: u32, thetas: u32, phis: u32) -> Vec<u8> {
             name::ROWS_FRAMES => content = content[..48].repeat(directions as usize),
             name::ROWS_BITS => {
                 let direction_bytes = 1 << (3 * bits - 3);
-                let chunk = CompressedChunk::compress_sparse(&vec![0; direction_bytes], 1);
+                let chunk = CompressedChunk::compress_rows(&vec![0; direction_bytes], 1 << (bits - 3));
                 for _ in 0..directions {
                     writer.append(&chunk).unwrap();
                 }

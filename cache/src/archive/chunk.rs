@@ -9,8 +9,8 @@ use zstd::bulk::{Compressor, Decompressor};
 
 use super::error::{ArchiveError, ArchiveErrorKind, corrupt, expect_equal};
 use super::format::{ChunkRecord, MAX_CHUNK_BYTES};
-use super::sparse;
 use super::tiles;
+use super::writer::DEFAULT_LEVEL;
 use crate::digest::Digest;
 
 /// How the bytes of a chunk are stored.
@@ -21,10 +21,9 @@ pub enum Codec {
     Raw = 0,
     /// As one zstd frame that tells its content size and has no checksum.
     Zstd = 1,
-    /// As such a frame of the content's [sparse form](super::sparse).
-    Sparse = 2,
-    /// In [tiles](super::tiles), each stored on its own.
-    Tiles = 3,
+    /// In [tiles](super::tiles) of rows, each [coded](super::row_code) on its own. Before it there were 2 and 3, which
+    /// nothing writes any more.
+    Rows = 4,
 }
 
 impl Codec {
@@ -32,8 +31,7 @@ impl Codec {
         match stored {
             0 => Ok(Self::Raw),
             1 => Ok(Self::Zstd),
-            2 => Ok(Self::Sparse),
-            3 => Ok(Self::Tiles),
+            4 => Ok(Self::Rows),
             found => Err(ArchiveErrorKind::UnsupportedCodec { found }.into()),
         }
     }
@@ -55,7 +53,7 @@ thread_local! {
     /// With the level it is set to. Contexts take megabytes and much time to make, so each thread keeps one.
     static COMPRESSOR: RefCell<Option<(i32, Compressor<'static>)>> = const { RefCell::new(None) };
     static DECOMPRESSOR: RefCell<Option<Decompressor<'static>>> = const { RefCell::new(None) };
-    /// Room for a compressed chunk before its size is known, or for a sparse form.
+    /// Room for a compressed chunk before its size is known.
     static SCRATCH: RefCell<Vec<u8>> = const { RefCell::new(Vec::new()) };
 }
 
@@ -66,32 +64,35 @@ impl CompressedChunk {
     /// # Panics
     /// Where `raw` is empty or larger than [`MAX_CHUNK_BYTES`].
     pub fn compress(raw: &[u8], level: i32) -> Self {
-        Self::with_codec(raw, raw, Codec::Zstd, level)
-    }
-
-    /// As [`compress`](Self::compress), for content that is mostly zero in records of 16 bytes: stored smaller and
-    /// decoded faster where that is so.
-    ///
-    /// # Panics
-    /// Where `raw` is empty or larger than [`MAX_CHUNK_BYTES`].
-    pub fn compress_sparse(raw: &[u8], level: i32) -> Self {
-        match sparse::encode(raw) {
-            Some(sparse) => Self::with_codec(raw, &sparse, Codec::Sparse, level),
-            None => Self::compress(raw, level),
-        }
-    }
-
-    /// As [`compress_sparse`](Self::compress_sparse), in tiles, so that a [`TileEditor`](super::TileEditor) can change
-    /// some of it at the cost of some.
-    ///
-    /// # Panics
-    /// Where `raw` is empty or larger than [`MAX_CHUNK_BYTES`].
-    pub fn compress_tiles(raw: &[u8], level: i32) -> Self {
         assert!(!raw.is_empty(), "a chunk has content");
         assert!(raw.len() <= MAX_CHUNK_BYTES, "{} bytes are more than a chunk takes", raw.len());
-        match tiles::encode(raw, level) {
+        let raw_digest = Digest::of(raw);
+        // Compression into less than `raw.len()` bytes fails where it would not help.
+        let compressed = SCRATCH.with_borrow_mut(|scratch| {
+            scratch.resize(raw.len() - 1, 0);
+            compress_into(raw, level, scratch).ok().map(|size| Box::from(&scratch[..size]))
+        });
+        let (codec, stored) = match compressed {
+            Some(stored) => (Codec::Zstd, stored),
+            None => (Codec::Raw, Box::from(raw)),
+        };
+        let stored_digest = if codec == Codec::Raw { raw_digest } else { Digest::of(&stored) };
+        let tile_digests = Vec::new();
+        Self { stored, raw_bytes: raw.len() as u32, codec, raw_digest, stored_digest, tile_digests }
+    }
+
+    /// Codes `raw`, which is rows of `row_bytes` bytes (4, 8, 16, 32) in whole lines of 8 · `row_bytes` rows, in tiles,
+    /// so that a [`TileEditor`](super::TileEditor) can change some of it at the cost of some. Other content is
+    /// compressed as by [`compress`](Self::compress).
+    ///
+    /// # Panics
+    /// Where `raw` is empty or larger than [`MAX_CHUNK_BYTES`].
+    pub fn compress_rows(raw: &[u8], row_bytes: usize) -> Self {
+        assert!(!raw.is_empty(), "a chunk has content");
+        assert!(raw.len() <= MAX_CHUNK_BYTES, "{} bytes are more than a chunk takes", raw.len());
+        match tiles::encode(raw, row_bytes) {
             Some((stored, digest, digests)) => Self::of_tiles(stored, raw.len(), digest, digests),
-            None => Self::with_codec(raw, raw, Codec::Raw, level),
+            None => Self::compress(raw, DEFAULT_LEVEL),
         }
     }
 
@@ -104,7 +105,7 @@ impl CompressedChunk {
     ) -> Self {
         let stored_digest = Digest::of(&stored);
         let (stored, raw_bytes) = (stored.into_boxed_slice(), raw_bytes as u32);
-        Self { stored, raw_bytes, codec: Codec::Tiles, raw_digest, stored_digest, tile_digests }
+        Self { stored, raw_bytes, codec: Codec::Rows, raw_digest, stored_digest, tile_digests }
     }
 
     /// The tiles' parts of the content's digest; none of chunks that are not in tiles.
@@ -115,27 +116,6 @@ impl CompressedChunk {
     /// How it is stored.
     pub fn codec(&self) -> Codec {
         self.codec
-    }
-
-    /// Compresses `form`, which is `raw` in the form that `codec` takes.
-    fn with_codec(raw: &[u8], form: &[u8], codec: Codec, level: i32) -> Self {
-        assert!(!raw.is_empty(), "a chunk has content");
-        assert!(raw.len() <= MAX_CHUNK_BYTES, "{} bytes are more than a chunk takes", raw.len());
-        let raw_digest = Digest::of(raw);
-        // Compression into less than `raw.len()` bytes fails where it would not help.
-        let compressed = (codec != Codec::Raw).then_some(()).and_then(|()| {
-            SCRATCH.with_borrow_mut(|scratch| {
-                scratch.resize(raw.len() - 1, 0);
-                compress_into(form, level, scratch).ok().map(|size| Box::from(&scratch[..size]))
-            })
-        });
-        let (codec, stored) = match compressed {
-            Some(stored) => (codec, stored),
-            None => (Codec::Raw, Box::from(raw)),
-        };
-        let stored_digest = if codec == Codec::Raw { raw_digest } else { Digest::of(&stored) };
-        let tile_digests = Vec::new();
-        Self { stored, raw_bytes: raw.len() as u32, codec, raw_digest, stored_digest, tile_digests }
     }
 
     /// Cuts `raw` into chunks as [`ArchiveWriter::append_raw`](super::ArchiveWriter::append_raw) does, and compresses
@@ -178,7 +158,7 @@ impl CompressedChunk {
             return None;
         }
         let codec = Codec::from_stored(u8::try_from(number(8)?).ok()?).ok()?;
-        let tiles = if codec == Codec::Tiles { tiles::tile_count(raw_bytes as usize) } else { 0 };
+        let tiles = if codec == Codec::Rows { tiles::tile_count(raw_bytes as usize) } else { 0 };
         let (digests, rest) = rest.split_at_checked(tiles * 32)?;
         *value = rest;
         Some(Self {
@@ -218,7 +198,7 @@ impl CompressedChunk {
     }
 }
 
-pub(super) fn compress_into(raw: &[u8], level: i32, stored: &mut [u8]) -> io::Result<usize> {
+fn compress_into(raw: &[u8], level: i32, stored: &mut [u8]) -> io::Result<usize> {
     COMPRESSOR.with_borrow_mut(|slot| {
         if slot.as_ref().is_none_or(|(current, _)| *current != level) {
             *slot = Some((level, Compressor::new(level)?));
@@ -231,7 +211,7 @@ pub(super) fn compress_into(raw: &[u8], level: i32, stored: &mut [u8]) -> io::Re
 /// Decodes the `stored` bytes of a chunk into `raw`, whose size must be the chunk's raw size. First the digest is
 /// checked, so that the decoder sees only what a writer wrote. Takes no memory beyond a fixed context per thread.
 pub fn decode_chunk(record: &ChunkRecord, stored: &[u8], raw: &mut [u8]) -> Result<(), ArchiveError> {
-    if matches!(record.codec, Codec::Sparse | Codec::Tiles) {
+    if record.codec == Codec::Rows {
         raw.fill(0);
     }
     decode_chunk_into_zeros(record, stored, raw)
@@ -255,19 +235,13 @@ pub(super) fn decode_chunk_into_zeros(
             let written = decompress(stored, raw)?;
             expect_equal("content of the zstd frame", raw.len(), written)?;
         }
-        Codec::Sparse => SCRATCH.with_borrow_mut(|scratch| {
-            // A sparse form is smaller than its content.
-            scratch.resize(raw.len(), 0);
-            let written = decompress(stored, scratch)?;
-            sparse::decode_into_zeros(&scratch[..written], raw)
-        })?,
-        Codec::Tiles => tiles::decode_into_zeros(stored, raw)?,
+        Codec::Rows => tiles::decode_into_zeros(stored, raw)?,
     }
     Ok(())
 }
 
 /// Decompresses a frame into a buffer that is large enough for any honest one; how much it filled.
-pub(super) fn decompress(stored: &[u8], content: &mut [u8]) -> Result<usize, ArchiveError> {
+fn decompress(stored: &[u8], content: &mut [u8]) -> Result<usize, ArchiveError> {
     let most = content.len();
     DECOMPRESSOR
         .with_borrow_mut(|slot| {

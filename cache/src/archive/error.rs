@@ -185,10 +185,13 @@ impl fmt::Display for ArchiveErrorKind {
                     "archive format version {found}, but this program reads version {supported}; {way_out}"
                 )
             }
+            Self::UnsupportedCodec { found: found @ (2 | 3) } => {
+                write!(f, "codec {found} is of an older manyview, and no longer known: bake again")
+            }
             Self::UnsupportedCodec { found } => {
                 write!(
                     f,
-                    "codec {found} is unknown to this program (it knows 0 raw, 1 zstd, 2 sparse); update manyview"
+                    "codec {found} is unknown to this program (it knows 0 raw, 1 zstd, 4 rows); update manyview"
                 )
             }
             Self::Corrupt { what, expected, found } => {

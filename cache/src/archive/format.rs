@@ -373,11 +373,11 @@ fn decode_chunk_record(
     }
     match codec {
         Codec::Raw => expect_equal("stored size of a raw chunk", raw_bytes, stored_bytes)?,
-        Codec::Zstd | Codec::Sparse | Codec::Tiles if stored_bytes == 0 || stored_bytes >= raw_bytes => {
+        Codec::Zstd | Codec::Rows if stored_bytes == 0 || stored_bytes >= raw_bytes => {
             let expected = format!("1 to {}, less than the raw size", raw_bytes - 1);
             return Err(corrupt("stored size of a compressed chunk", expected, stored_bytes));
         }
-        Codec::Zstd | Codec::Sparse | Codec::Tiles => {}
+        Codec::Zstd | Codec::Rows => {}
     }
     if stored.reserved != [0; 7] {
         return Err(corrupt("reserved bytes", "zeros", format!("{:?}", stored.reserved)));

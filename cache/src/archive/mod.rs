@@ -4,8 +4,9 @@ mod chunk;
 mod error;
 mod format;
 mod reader;
+pub mod row_code;
+pub mod row_model;
 mod source;
-pub mod sparse;
 pub mod tiles;
 mod verify;
 mod writer;
@@ -20,7 +21,8 @@ pub use format::{
     MAX_INDEX_BYTES, Section, SectionId, SectionName,
 };
 pub use reader::Archive;
+pub use row_code::TILE_BYTES;
 pub use source::ByteSource;
-pub use tiles::{TILE_BYTES, TileEditor};
+pub use tiles::TileEditor;
 pub use verify::VerifyReport;
 pub use writer::{ArchiveStats, ArchiveWriter, DEFAULT_LEVEL};

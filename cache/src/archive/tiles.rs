@@ -1,39 +1,35 @@
-//! Content cut into tiles that are stored each on its own: the form that [`Codec::Tiles`](super::Codec::Tiles) has.
+//! Content of rows, cut into tiles that are stored each on its own: the form that [`Codec::Rows`](super::Codec::Rows) has.
 //!
-//! Where a little of a chunk changes, a writer keeps the other tiles as they are: neither decoded nor compressed nor
-//! digested again ([`TileEditor`]). Measured on rows: 4 to 7 % larger than one sparse form a chunk.
+//! Where a little of a chunk changes, a writer keeps the other tiles as they are: neither decoded nor coded nor digested
+//! again ([`TileEditor`]).
 //!
 //! The stored bytes of content of n tiles are, one after the other:
 //!
 //! | bytes | what |
 //! |---|---|
-//! | 4 · n | for each tile, how it is stored (the upper two bits: 0 raw, 1 a zstd frame, 2 a zstd frame of the tile's [sparse form](super::sparse), 3 nothing: it is all zero) and how many bytes it has (the rest) |
+//! | 1 | bytes of a row, 4 to 32. A line is 8 times as many rows; the content is whole lines |
+//! | 2 · n | of each tile: 0 if it is all zero, 65,535 if it is stored as it is, else the size of its [coded form](super::row_code) |
 //! | … | the tiles |
 //!
-//! A tile has 64 KiB of content, the last one what is left.
+//! A tile has 16 KiB of content, the last one what is left.
 
 use blake3::hazmat::{ChainingValue, HasherExt as _, Mode, merge_subtrees_non_root, merge_subtrees_root};
 
-use super::chunk::{CompressedChunk, compress_into, decompress};
-use super::error::{ArchiveError, corrupt, expect_equal};
-use super::sparse;
+use super::chunk::CompressedChunk;
+use super::error::{ArchiveError, corrupt};
+use super::row_code::{self, Lines, Shape, TILE_BYTES};
 use crate::digest::Digest;
-
-/// The content of a tile.
-pub const TILE_BYTES: usize = 64 << 10;
 
 /// How a tile is stored.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 enum Kind {
-    Raw,
-    Zstd,
-    Sparse,
     Zero,
+    Raw,
+    Coded,
 }
 
-impl Kind {
-    const ALL: [Self; 4] = [Self::Raw, Self::Zstd, Self::Sparse, Self::Zero];
-}
+/// The head of a tile that is stored as it is. Coded forms are smaller than a tile.
+const RAW: u16 = u16::MAX;
 
 /// A tile as it is stored, and its part of the content's digest.
 #[derive(Clone, Debug, PartialEq, Eq)]
@@ -44,21 +40,17 @@ pub(super) struct Tile {
 }
 
 impl Tile {
-    /// Compresses the tile that begins at `offset` in its chunk. A chunk of one tile has no use for a part of a digest.
-    fn encode(raw: &[u8], offset: usize, level: i32) -> Self {
+    /// Codes the tile that begins at `offset` in its chunk. A chunk of one tile has no use for a part of a digest.
+    fn encode(lines: &mut Lines, shape: Shape, raw: &[u8], offset: usize) -> Self {
         let digest = blake3::Hasher::new().set_input_offset(offset as u64).update(raw).finalize_non_root();
-        if raw.iter().all(|&byte| byte == 0) {
-            return Self { kind: Kind::Zero, stored: Vec::new(), digest };
-        }
-        let mut compressed = vec![0; raw.len() - 1];
-        let sparse = sparse::encode(raw);
-        let form = sparse.as_deref().unwrap_or(raw);
-        let (kind, stored) = match compress_into(form, level, &mut compressed) {
-            Ok(size) => {
-                compressed.truncate(size);
-                (if sparse.is_some() { Kind::Sparse } else { Kind::Zstd }, compressed)
-            }
-            Err(_) => (Kind::Raw, raw.to_vec()),
+        let mut stored = Vec::new();
+        let kind = if raw.iter().all(|&byte| byte == 0) {
+            Kind::Zero
+        } else if row_code::encode(lines, shape, raw, &mut stored) {
+            Kind::Coded
+        } else {
+            stored = raw.to_vec();
+            Kind::Raw
         };
         Self { kind, stored, digest }
     }
@@ -67,6 +59,9 @@ impl Tile {
         (self.kind, &self.stored, self.digest)
     }
 }
+
+/// How a tile is stored, and its bytes.
+type Stored<'a> = (Kind, &'a [u8]);
 
 /// A tile, wherever its bytes are.
 type Part<'a> = (Kind, &'a [u8], ChainingValue);
@@ -103,28 +98,38 @@ fn content_digest(tiles: &[ChainingValue], raw: impl FnOnce() -> Digest) -> Dige
     Digest(*merge_subtrees_root(&merged(left), &merged(right), Mode::Hash).as_bytes())
 }
 
-/// The stored form of content, or `None` where it would be no smaller than the content.
-pub(super) fn encode(raw: &[u8], level: i32) -> Option<(Vec<u8>, Digest, Vec<ChainingValue>)> {
+/// The stored form of content in whole lines of rows of so many bytes, with the content's digest and the tiles' parts of
+/// it. `None` where it would be no smaller than the content, or the content is other.
+pub(super) fn encode(raw: &[u8], row_bytes: usize) -> Option<(Vec<u8>, Digest, Vec<ChainingValue>)> {
+    let shape = Shape::new(row_bytes).filter(|shape| raw.len().is_multiple_of(shape.line_bytes()))?;
+    let mut lines = Lines::new();
     let tile = |index: usize| {
         let range = tile_range(index, raw.len());
-        Tile::encode(&raw[range.clone()], range.start, level)
+        Tile::encode(&mut lines, shape, &raw[range.clone()], range.start)
     };
     let tiles: Vec<Tile> = (0..tile_count(raw.len())).map(tile).collect();
-    join(&tiles.iter().map(Tile::part).collect::<Vec<_>>(), raw.len(), || Digest::of(raw))
+    join(shape, &tiles.iter().map(Tile::part).collect::<Vec<_>>(), raw.len(), || Digest::of(raw))
 }
 
 fn join(
+    shape: Shape,
     tiles: &[Part<'_>],
     raw_bytes: usize,
     raw_digest: impl FnOnce() -> Digest,
 ) -> Option<(Vec<u8>, Digest, Vec<ChainingValue>)> {
-    let bytes = tiles.iter().map(|(_, stored, _)| stored.len() + 4).sum();
+    let bytes = 1 + tiles.iter().map(|(_, stored, _)| stored.len() + 2).sum::<usize>();
     if bytes >= raw_bytes {
         return None;
     }
     let mut stored = Vec::with_capacity(bytes);
+    stored.push(shape.row_bytes() as u8);
     for (kind, bytes, _) in tiles {
-        stored.extend(((*kind as u32) << 30 | bytes.len() as u32).to_le_bytes());
+        let head = match kind {
+            Kind::Zero => 0,
+            Kind::Raw => RAW,
+            Kind::Coded => bytes.len() as u16,
+        };
+        stored.extend(head.to_le_bytes());
     }
     tiles.iter().for_each(|(_, bytes, _)| stored.extend_from_slice(bytes));
     let digests: Vec<ChainingValue> = tiles.iter().map(|(_, _, digest)| *digest).collect();
@@ -132,51 +137,51 @@ fn join(
     Some((stored, digest, digests))
 }
 
-/// Each tile of a stored form: how, and its bytes. Sizes are checked.
-fn parse(stored: &[u8], raw_bytes: usize) -> Result<Vec<(Kind, &[u8])>, ArchiveError> {
+/// How rows lie, and each tile of a stored form: how, and its bytes. Sizes are checked.
+fn parse(stored: &[u8], raw_bytes: usize) -> Result<(Shape, Vec<Stored<'_>>), ArchiveError> {
     let broken = |found: &str| corrupt("tiles", "the form of its size", found);
+    let (&row_bytes, rest) = stored.split_first().ok_or_else(|| broken("too few bytes"))?;
+    let shape = Shape::new(row_bytes.into())
+        .filter(|shape| raw_bytes.is_multiple_of(shape.line_bytes()))
+        .ok_or_else(|| broken("rows that do not fit its size"))?;
     let count = tile_count(raw_bytes);
-    let (heads, mut rest) = stored.split_at_checked(count * 4).ok_or_else(|| broken("too few bytes"))?;
-    let (heads, _) = heads.as_chunks::<4>();
+    let (heads, mut rest) = rest.split_at_checked(count * 2).ok_or_else(|| broken("too few bytes"))?;
     let mut tiles = Vec::with_capacity(count);
-    for head in heads {
-        let head = u32::from_le_bytes(*head);
-        let kind = Kind::ALL[(head >> 30) as usize];
+    for (tile, head) in heads.as_chunks::<2>().0.iter().enumerate() {
+        let (kind, size) = match u16::from_le_bytes(*head) {
+            0 => (Kind::Zero, 0),
+            RAW => (Kind::Raw, tile_range(tile, raw_bytes).len()),
+            size => (Kind::Coded, size.into()),
+        };
         let bytes;
-        (bytes, rest) =
-            rest.split_at_checked((head & 0x3fff_ffff) as usize).ok_or_else(|| broken("too few bytes"))?;
+        (bytes, rest) = rest.split_at_checked(size).ok_or_else(|| broken("too few bytes"))?;
         tiles.push((kind, bytes));
     }
-    if rest.is_empty() { Ok(tiles) } else { Err(broken("too many bytes")) }
+    if rest.is_empty() { Ok((shape, tiles)) } else { Err(broken("too many bytes")) }
 }
 
 /// Decodes one tile into its content, which is all zero.
-fn decode_tile(kind: Kind, stored: &[u8], raw: &mut [u8]) -> Result<(), ArchiveError> {
+fn decode_tile(
+    lines: &mut Lines,
+    shape: Shape,
+    kind: Kind,
+    stored: &[u8],
+    raw: &mut [u8],
+) -> Result<(), ArchiveError> {
     match kind {
-        Kind::Zero => expect_equal("stored size of an empty tile", 0, stored.len()),
-        Kind::Raw => {
-            expect_equal("stored size of a raw tile", raw.len(), stored.len())?;
-            raw.copy_from_slice(stored);
-            Ok(())
-        }
-        Kind::Zstd => {
-            let written = decompress(stored, raw)?;
-            expect_equal("content of the zstd frame", raw.len(), written)
-        }
-        Kind::Sparse => {
-            // A sparse form is smaller than its content.
-            let mut form = [0; TILE_BYTES];
-            let form = &mut form[..raw.len()];
-            let written = decompress(stored, form)?;
-            sparse::decode_into_zeros(&form[..written], raw)
-        }
+        Kind::Zero => {}
+        Kind::Raw => raw.copy_from_slice(stored),
+        Kind::Coded => row_code::decode(lines, shape, stored, raw)?,
     }
+    Ok(())
 }
 
 /// Decodes a stored form into `raw`, which is all zero.
 pub(super) fn decode_into_zeros(stored: &[u8], raw: &mut [u8]) -> Result<(), ArchiveError> {
-    for ((kind, bytes), raw) in parse(stored, raw.len())?.into_iter().zip(raw.chunks_mut(TILE_BYTES)) {
-        decode_tile(kind, bytes, raw)?;
+    let (shape, tiles) = parse(stored, raw.len())?;
+    let mut lines = Lines::new();
+    for ((kind, bytes), raw) in tiles.into_iter().zip(raw.chunks_mut(TILE_BYTES)) {
+        decode_tile(&mut lines, shape, kind, bytes, raw)?;
     }
     Ok(())
 }
@@ -187,19 +192,21 @@ pub(super) fn decode_into_zeros(stored: &[u8], raw: &mut [u8]) -> Result<(), Arc
 /// use manyview_cache::archive::{CompressedChunk, TILE_BYTES, TileEditor};
 /// let mut raw = vec![0; 4 * TILE_BYTES];
 /// raw[100] = 1;
-/// let old = CompressedChunk::compress_tiles(&raw, 3);
+/// let old = CompressedChunk::compress_rows(&raw, 16);
 /// let mut editor = TileEditor::new(&old)?.expect("it is stored in tiles");
 /// let mut tile = vec![0; TILE_BYTES];
 /// editor.read(2, &mut tile)?;
 /// tile[7] = 9;
-/// editor.replace(2, &tile, 3);
+/// editor.replace(2, &tile);
 /// raw[2 * TILE_BYTES + 7] = 9;
-/// assert_eq!(editor.finish(), Some(CompressedChunk::compress_tiles(&raw, 3)));
+/// assert_eq!(editor.finish(), Some(CompressedChunk::compress_rows(&raw, 16)));
 /// # Ok::<(), manyview_cache::archive::ArchiveError>(())
 /// ```
 pub struct TileEditor<'a> {
     old: &'a CompressedChunk,
-    tiles: Vec<(Kind, &'a [u8])>,
+    shape: Shape,
+    lines: Box<Lines>,
+    tiles: Vec<Stored<'a>>,
     new: Vec<Option<Tile>>,
 }
 
@@ -210,22 +217,22 @@ impl<'a> TileEditor<'a> {
         if old.tile_digests().len() != count || count < 2 {
             return Ok(None);
         }
-        let tiles = parse(old.stored(), old.raw_bytes() as usize)?;
-        Ok(Some(Self { old, tiles, new: vec![None; count] }))
+        let (shape, tiles) = parse(old.stored(), old.raw_bytes() as usize)?;
+        Ok(Some(Self { old, shape, lines: Lines::new(), tiles, new: vec![None; count] }))
     }
 
     /// Reads a tile of the old chunk into `raw`, which is all zero and as large as the tile.
-    pub fn read(&self, tile: usize, raw: &mut [u8]) -> Result<(), ArchiveError> {
+    pub fn read(&mut self, tile: usize, raw: &mut [u8]) -> Result<(), ArchiveError> {
         let (kind, stored) = self.tiles[tile];
-        decode_tile(kind, stored, raw)
+        decode_tile(&mut self.lines, self.shape, kind, stored, raw)
     }
 
-    /// Puts other content in place of a tile, compressed at a zstd `level`.
-    pub fn replace(&mut self, tile: usize, raw: &[u8], level: i32) {
-        self.new[tile] = Some(Tile::encode(raw, tile * TILE_BYTES, level));
+    /// Puts other content in place of a tile.
+    pub fn replace(&mut self, tile: usize, raw: &[u8]) {
+        self.new[tile] = Some(Tile::encode(&mut self.lines, self.shape, raw, tile * TILE_BYTES));
     }
 
-    /// The new chunk, the same as if its whole content had been compressed; `None` where that would not be stored in
+    /// The new chunk, the same as if its whole content had been coded; `None` where that would not be stored in
     /// tiles.
     pub fn finish(self) -> Option<CompressedChunk> {
         let digests = self.old.tile_digests();
@@ -234,7 +241,7 @@ impl<'a> TileEditor<'a> {
         let tiles: Vec<Part<'_>> =
             self.new.iter().zip(old).map(|(new, old)| new.as_ref().map_or(old, Tile::part)).collect();
         // There are at least two tiles, so nobody asks for the digest of the whole.
-        let (stored, digest, digests) = join(&tiles, raw_bytes, || self.old.raw_digest())?;
+        let (stored, digest, digests) = join(self.shape, &tiles, raw_bytes, || self.old.raw_digest())?;
         Some(CompressedChunk::of_tiles(stored, raw_bytes, digest, digests))
     }
 }
@@ -269,28 +276,25 @@ mod tests {
     fn a_known_form() {
         let mut raw = vec![0; TILE_BYTES + 2048];
         raw[TILE_BYTES + 5] = 3;
-        let chunk = CompressedChunk::compress_tiles(&raw, 1);
+        let chunk = CompressedChunk::compress_rows(&raw, 16);
         let stored = chunk.stored();
-        assert_eq!(stored[..4], [0, 0, 0, 0xc0], "nothing");
-        assert_eq!(
-            (stored[7], usize::from(stored[4]), stored[5]),
-            (0x80, stored.len() - 8, 0),
-            "a sparse form"
-        );
+        assert_eq!((stored[0], &stored[1..3]), (16, &[0, 0][..]), "rows of 16 bytes, an empty tile");
+        assert_eq!(usize::from(u16::from_le_bytes([stored[3], stored[4]])), stored.len() - 5, "a coded tile");
         assert_eq!(chunk.raw_digest(), Digest::of(&raw));
     }
 
     proptest! {
-        #![proptest_config(ProptestConfig { cases: 40, ..ProptestConfig::default() })]
+        #![proptest_config(ProptestConfig { cases: 60, ..ProptestConfig::default() })]
 
         #[test]
-        fn tiles_round_trip_and_edits_are_as_compressing_anew(
+        fn tiles_round_trip_and_edits_are_as_coding_anew(
             tiles in prop::collection::vec((prop_oneof![Just(0usize), Just(1), 2usize..900], 1u8..), 1..7),
-            last in 1usize..TILE_BYTES,
+            row_shift in 2u32..6, last in 1usize..=TILE_BYTES,
             edits in prop::collection::vec((any::<u16>(), any::<u32>(), any::<u8>()), 0..5),
         ) {
-            let mut raw = content(&tiles, last);
-            let chunk = CompressedChunk::compress_tiles(&raw, 1);
+            let row_bytes = 1 << row_shift;
+            let mut raw = content(&tiles, last.next_multiple_of(row_bytes * row_bytes * 8));
+            let chunk = CompressedChunk::compress_rows(&raw, row_bytes);
             prop_assert_eq!(chunk.raw_digest(), Digest::of(&raw));
             prop_assert_eq!(&chunk.content().unwrap(), &raw);
             let mut value = Vec::new();
@@ -306,9 +310,9 @@ mod tests {
                 let range = tile_range(usize::from(tile) % tiles.len(), raw.len());
                 let at = range.start + at as usize % range.len();
                 raw[at] = byte;
-                editor.replace(range.start / TILE_BYTES, &raw[range], 1);
+                editor.replace(range.start / TILE_BYTES, &raw[range]);
             }
-            let again = CompressedChunk::compress_tiles(&raw, 1);
+            let again = CompressedChunk::compress_rows(&raw, row_bytes);
             match editor.finish() {
                 Some(edited) => prop_assert_eq!(edited, again),
                 None => prop_assert_eq!(again.codec(), Codec::Raw),
@@ -316,14 +320,16 @@ mod tests {
         }
 
         #[test]
-        fn any_bytes_decode_or_fail(stored in prop::collection::vec(any::<u8>(), 0..300), size in 1usize..200_000) {
-            _ = decode_into_zeros(&stored, &mut vec![0; size]);
+        fn any_bytes_decode_or_fail(stored in prop::collection::vec(any::<u8>(), 0..300), lines in 1usize..100) {
+            _ = decode_into_zeros(&stored, &mut vec![0; lines * 2048]);
+            let rows = [&[16, 9, 0][..], &stored].concat();
+            _ = decode_into_zeros(&rows, &mut vec![0; (lines % 8 + 1) * 2048]);
         }
 
         #[test]
         fn cut_or_longer_forms_are_refused(cut in 1usize..40) {
-            let raw = content(&[(0, 1), (3, 5), (77, 9)], 5000);
-            let chunk = CompressedChunk::compress_tiles(&raw, 1);
+            let raw = content(&[(0, 1), (3, 5), (77, 9)], 6144);
+            let chunk = CompressedChunk::compress_rows(&raw, 16);
             let stored = chunk.stored();
             let mut back = vec![0; raw.len()];
             prop_assert!(decode_into_zeros(&stored[..stored.len() - cut], &mut back).is_err());
