@@ -1,7 +1,7 @@
 //! One bake from a scene file to an archive file: what the command line and build scripts call.
 
 use crate::bake::{BakeError, BakeOptions, BakeReport, Placement, Progress, Silent, bake_placed};
-use crate::estimate::Estimate;
+use crate::estimate::{Estimate, Plan};
 use crate::explain::{Step, explain};
 use crate::generate::generate;
 use crate::import::{ImportError, ImportOptions, SourceFile, import};
@@ -288,7 +288,8 @@ impl Bake {
             self.options.check().map_err(|e| self.failed(e))?;
             let (scene, _) = self.load()?;
             let placement = Placement::new(&scene, &self.options).map_err(|e| self.failed(e))?;
-            Ok((Estimate::new(&scene, &self.options, placement.cube), scene.warnings))
+            let plan = Plan::new(&scene, &self.options, &placement.runs, placement.cube);
+            Ok((plan.estimate, scene.warnings))
         })
     }
 

@@ -29,6 +29,11 @@ pub struct Run {
     pub triangles: Range<u32>,
     /// World bounds of the triangles: smallest and largest corner, metres.
     pub bounds: [DVec3; 2],
+    /// Square metres of surface that fill a voxel each, if voxels had an edge of a metre: of a triangle, what it shows
+    /// to the axis that it faces most, and half of what it shows to the others.
+    pub surface: f64,
+    /// Square metres that the triangles show to each axis.
+    pub facing: [f64; 3],
     /// Identity of the mesh's part, wherever it is placed.
     pub mesh: Digest,
     /// Identity of the shape.
@@ -42,6 +47,18 @@ pub struct Run {
 pub struct Runs {
     /// The runs.
     pub runs: Vec<Run>,
+}
+
+impl Run {
+    /// About how many voxels of this edge (metres) the run fills: as many as it has surface, fewer where it has more
+    /// surface than there is room for in its bounds, as foliage in large voxels.
+    pub fn voxels(&self, edge: f64) -> f64 {
+        let size = (self.bounds[1] - self.bounds[0]) / edge + DVec3::ONE;
+        let (surface, room) = (self.surface / (edge * edge), size.element_product());
+        // What falls into random voxels of the room.
+        let filled = room * -(-surface / room).exp_m1();
+        if filled.is_finite() { filled } else { surface.min(room) }
+    }
 }
 
 impl Runs {
@@ -75,12 +92,22 @@ impl Runs {
                             key.finish()
                         });
                         let mut bounds = [DVec3::INFINITY, DVec3::NEG_INFINITY];
-                        for vertex in triangles.iter().flatten() {
-                            let p = transform.transform_point3(mesh.positions[*vertex as usize].as_dvec3());
-                            bounds = [bounds[0].min(p), bounds[1].max(p)];
+                        let (mut surface, mut facing) = (0.0, DVec3::ZERO);
+                        for triangle in triangles {
+                            let p = triangle.map(|vertex| {
+                                transform.transform_point3(mesh.positions[vertex as usize].as_dvec3())
+                            });
+                            bounds = p.iter().fold(bounds, |[lo, hi], p| [lo.min(*p), hi.max(*p)]);
+                            let n = ((p[1] - p[0]).cross(p[2] - p[0]) * 0.5).abs();
+                            // The axis that a plane faces most finds a voxel per pixel, the others new ones for up to
+                            // half of theirs.
+                            surface += n.max_element() + (n.element_sum() - n.max_element()) * 0.5;
+                            facing += n;
                         }
                         let triangles = first..first + triangles.len() as u32;
-                        Run { instance: index as u32, triangles, bounds, mesh: digests[0], shape, look }
+                        let mesh = digests[0];
+                        let (instance, facing) = (index as u32, facing.to_array());
+                        Run { instance, triangles, bounds, surface, facing, mesh, shape, look }
                     },
                 )
             })

@@ -6,6 +6,7 @@ mod format;
 mod reader;
 mod source;
 pub mod sparse;
+mod spool;
 pub mod tiles;
 mod verify;
 mod writer;
@@ -21,6 +22,7 @@ pub use format::{
 };
 pub use reader::Archive;
 pub use source::ByteSource;
+pub use spool::{ChunkSpool, SpooledChunk};
 pub use tiles::{TILE_BYTES, TileEditor};
 pub use verify::VerifyReport;
 pub use writer::{ArchiveStats, ArchiveWriter, DEFAULT_LEVEL};
