@@ -15,6 +15,7 @@ use crate::cube::SceneCube;
 use crate::regions::{BrickCost, RegionGrid};
 use crate::rows::{RowsFrom, RowsOptions, point_bits};
 use crate::runs::{Cell, Run, Runs};
+use crate::sample;
 use crate::scene::Scene;
 use crate::triangles::material_of;
 use manyview_cache::archive::MAX_CHUNK_BYTES;
@@ -36,6 +37,8 @@ pub struct Estimate {
     pub least_bytes: u64,
     /// Rows before compression.
     pub rows_raw_bytes: u64,
+    /// Of the archive, the octree.
+    pub svo_bytes: u64,
     /// Size of the archive.
     pub archive_bytes: u64,
     /// Time without a cache, by a processor like the one that the factors were measured on.
@@ -56,12 +59,19 @@ pub struct Budget {
 /// A mebibyte.
 const MIB: u64 = 1 << 20;
 /// Bricks that may be made at the same time, for each thread, where there is room: enough that no thread waits for long.
-const BRICKS_BYTES: u64 = 64 * MIB;
+const BRICKS_BYTES: u64 = 32 * MIB;
 /// Finished bricks in memory, at most: beyond this size writing them twice costs little.
 const SPOOL_BYTES: u64 = 512 * MIB;
 /// The program and what each thread keeps: compressors, and buffers of the size of a chunk.
 const PROGRAM_BYTES: u64 = 14 * MIB;
-const THREAD_BYTES: u64 = 3 * MAX_CHUNK_BYTES as u64;
+const THREAD_BYTES: u64 = 6 * MIB;
+/// What a leaf takes where no piece of the octree was made.
+const USUAL_LEAF: sample::Sample = sample::Sample { bytes: 4.0, seconds: 0.5e-6 };
+/// Pieces compress worse than what they are pieces of, and overlap less.
+const LARGE_LEAVES: f64 = 0.75;
+const LARGE_ROWS: f64 = 0.88;
+/// Bricks are joined and compressed beside what pieces take.
+const LARGE_SECONDS: f64 = 1.3;
 /// Of the limit, what is planned for; allocators keep some of what is given back.
 const PLANNED_PERCENT: u64 = 85;
 
@@ -144,7 +154,8 @@ impl Plan {
         let whole = |x: f64| if x.is_finite() { (x.ceil() as u64).min(1 << 56) } else { 1 << 56 };
 
         let leaves = whole(costs.iter().map(|cost| cost.leaves).sum());
-        let octree_bytes = whole(leaves as f64 * 2.0);
+        let of_leaf = sample::octree(scene, runs, grid, &cells, &costs).unwrap_or(USUAL_LEAF);
+        let octree_bytes = whole(leaves as f64 * of_leaf.bytes * LARGE_LEAVES);
         let entries: u64 = cells.iter().map(|cell| cell.runs.len() as u64).sum();
         let fixed = PROGRAM_BYTES
             + threads * THREAD_BYTES
@@ -155,9 +166,9 @@ impl Plan {
         let largest = costs.iter().map(|cost| cost.bytes()).max().unwrap_or(0);
         let all: u64 = costs.iter().fold(0, |sum, cost| sum.saturating_add(cost.bytes()));
         // Levels above the fine ones stay as they are.
-        let coarse = leaves / 64 * 24;
+        let coarse = leaves / 64 * 36;
 
-        let rows = options.rows.map(|rows| RowsCost::new(rows, runs, scene.drawn_triangles()));
+        let rows = options.rows.map(|rows| RowsCost::new(rows, scene, runs));
         let rows = rows.unwrap_or_default();
         let rows_least = rows.points_bytes.max(rows.rows_bytes + threads * MAX_CHUNK_BYTES as u64);
 
@@ -171,7 +182,9 @@ impl Plan {
         let budget = Budget { bricks_bytes, spool_bytes, rows_packs };
 
         let waiting = octree_bytes.min(spool_bytes) + coarse;
-        let octree = bytes.looks + all.min(bricks_bytes) + waiting;
+        // A thread that waits for a part of its brick begins another.
+        let making = all.min(bricks_bytes).min(largest * threads * 3 / 2);
+        let octree = bytes.looks + making + waiting;
         let points = rows.points_bytes + bytes.cutouts + waiting;
         let writing = rows.rows_bytes + rows_packs as u64 * pack_bytes * 2;
         let peak_bytes = fixed + octree.max(points).max(writing);
@@ -184,8 +197,9 @@ impl Plan {
             peak_bytes,
             least_bytes,
             rows_raw_bytes: rows.raw_bytes,
+            svo_bytes: octree_bytes,
             archive_bytes: octree_bytes + rows.stored_bytes,
-            seconds: 0.0,
+            seconds: (leaves as f64 * of_leaf.seconds * LARGE_SECONDS + rows.seconds) / threads as f64,
         };
         Self { estimate, budget, cells, costs }
     }
@@ -203,14 +217,21 @@ struct RowsCost {
     rows_bytes: u64,
     /// A pack of blocks, compressed.
     pack_bytes: u64,
+    /// Of one thread.
+    seconds: f64,
 }
 
 impl RowsCost {
-    fn new(options: RowsOptions, runs: &Runs, triangles: u64) -> Self {
+    fn new(options: RowsOptions, scene: &Scene, runs: &Runs) -> Self {
+        let triangles = scene.drawn_triangles();
         let points = expected_points(runs, point_bits(options)).ceil() as u64;
         let directions = u64::from(options.directions.count());
         let raw_bytes = directions << (3 * options.bits) >> 3;
-        let stored_bytes = points * directions / 50;
+        let (min, max) = runs.bounds().unwrap_or_default();
+        let lattice = RowLattice::new(min.to_array(), max.to_array());
+        let sample = sample::rows(scene, runs, options, &lattice, points);
+        let rows = (directions << (2 * options.bits)) as f64;
+        let stored_bytes = (rows * sample.bytes * LARGE_ROWS) as u64;
         let flat = if options.from == RowsFrom::Points { 0 } else { triangles.saturating_mul(52) };
         let pack = raw_bytes.min(16 * MAX_CHUNK_BYTES as u64);
         Self {
@@ -219,7 +240,64 @@ impl RowsCost {
             stored_bytes,
             points_bytes: points * 36 + flat,
             rows_bytes: points * 12 + flat,
-            pack_bytes: stored_bytes * pack / raw_bytes.max(1),
+            pack_bytes: stored_bytes.saturating_mul(pack) / raw_bytes.max(1),
+            seconds: points as f64 * directions as f64 * sample.seconds,
         }
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::scene::{Instance, Mesh};
+    use glam::{DMat4, Vec3};
+
+    /// A square of 32 × 32 voxels across the cube, drawn some times.
+    fn square(corners: [[f32; 3]; 4], times: usize, max_memory_bytes: u64) -> Plan {
+        let mesh = Mesh {
+            positions: corners.map(Vec3::from_array).to_vec(),
+            triangles: vec![[0, 1, 2], [0, 2, 3]],
+            ..Mesh::default()
+        };
+        let scene = Scene {
+            meshes: vec![mesh],
+            instances: vec![Instance { mesh: 0, world_from_object: DMat4::IDENTITY }; times],
+            ..Scene::default()
+        };
+        let options = BakeOptions { levels: 5, rows: None, max_memory_bytes, ..BakeOptions::default() };
+        let cube = SceneCube { origin: [0.0; 3], size: 32.0 };
+        Plan::new(&scene, &options, &Runs::new(&scene), cube)
+    }
+
+    const FLAT: [[f32; 3]; 4] = [[0.0, 5.0, 0.0], [32.0, 5.0, 0.0], [32.0, 5.0, 32.0], [0.0, 5.0, 32.0]];
+
+    #[test]
+    fn a_plane_has_about_as_many_leaves_as_it_shows_to_the_axis_it_faces() {
+        let flat = square(FLAT, 1, 8 << 30).estimate;
+        assert_eq!((flat.triangles, flat.rows_raw_bytes), (2, 0));
+        assert!((750..=1024).contains(&flat.leaves), "{}", flat.leaves);
+        // At 45 degrees half of the other axis' samples may fall into new voxels.
+        let slanted = [[0.0, 0.0, 0.0], [32.0, 32.0, 0.0], [32.0, 32.0, 32.0], [0.0, 0.0, 32.0]];
+        let slanted = square(slanted, 1, 8 << 30).estimate;
+        assert!((1450..=1536).contains(&slanted.leaves), "{}", slanted.leaves);
+        assert!(slanted.archive_bytes > 0 && slanted.peak_bytes >= PROGRAM_BYTES);
+    }
+
+    #[test]
+    fn there_are_no_more_leaves_than_cells_and_sums_do_not_overflow() {
+        let huge = [[0.0, 0.0, 0.0], [1e30, 0.0, 0.0], [1e30, 1.0, 1e30], [0.0, 1.0, 1e30]];
+        let plan = square(huge, 40, 8 << 30);
+        assert!(plan.estimate.leaves <= 1 << 15, "{}", plan.estimate.leaves);
+    }
+
+    #[test]
+    fn less_memory_makes_smaller_pieces_until_none_is_left() {
+        let [much, little] = [8 << 30, 40 << 20].map(|limit| square(FLAT, 1, limit));
+        assert!(much.budget.spool_bytes == SPOOL_BYTES && little.budget.spool_bytes < 40 << 20);
+        assert!(much.estimate.peak_bytes >= little.estimate.peak_bytes);
+        assert_eq!(much.estimate.least_bytes, little.estimate.least_bytes, "whatever the limit");
+        let none = square(FLAT, 1, 1 << 20);
+        assert!(none.estimate.least_bytes > 1 << 20);
+        assert_eq!(none.budget.bricks_bytes, none.costs[0].bytes(), "one brick at a time");
     }
 }

@@ -25,6 +25,7 @@ use manyview_shaders::device::VoxelDevice;
 use manyview_shaders::raster::Grid;
 use manyview_shaders::sections::{SvoInfo, name};
 use manyview_shaders::svo::SvoLevel;
+pub(crate) use part::byte_planes;
 use part::{Part, SHAPE_PLANES, level_of, look_plane_count, look_planes, shape_planes, split};
 use rayon::prelude::*;
 use std::io::{Seek, Write};
@@ -478,6 +479,15 @@ impl Octree {
         let coarse_levels = (bits + 1).saturating_sub(FINE_LEVELS) as usize;
         let planes = look_plane_count(emits);
         let mut coarse = vec![SvoLevel::default(); if coarse_levels == 0 { 0 } else { top + coarse_levels }];
+        for (local, level) in coarse.iter_mut().skip(top).enumerate() {
+            let nodes = regions.iter().map(|region| region.counts[local] as usize).sum();
+            level.child_masks.reserve_exact(nodes);
+            level.coverages.reserve_exact(nodes);
+            level.colors.reserve_exact(nodes);
+            level.normals.reserve_exact(nodes);
+            level.cones.reserve_exact(nodes);
+            level.emissive.reserve_exact(if emits { nodes } else { 0 });
+        }
         for region in &mut regions {
             let bytes = std::mem::take(&mut region.coarse);
             let [mut shape, mut look] = bytes.each_ref().map(|bytes| Reader(bytes));
