@@ -581,3 +581,55 @@ impl Octree {
         Ok(())
     }
 }
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::bake::Silent;
+    use crate::generate::{SceneKind, generate};
+
+    /// An octree of 8 bricks in a file, made within these limits; and whether bricks waited on disk.
+    fn octree_bytes(bricks_bytes: u64, spool_bytes: u64) -> (Vec<u8>, bool) {
+        let scene = generate(SceneKind::Town, 2_000, 1);
+        let options = BakeOptions { levels: 9, rows: None, ..BakeOptions::default() };
+        let runs = Runs::new(&scene);
+        let (min, max) = runs.bounds().unwrap();
+        let cube = SceneCube::around(min.to_array(), max.to_array()).unwrap();
+        let grid = RegionGrid { cube, grid: Grid::new(options.levels) };
+        let cells = grid.cells(&scene, &runs).cells;
+        assert!(cells.len() > 2, "{}", cells.len());
+        let folder = tempfile::tempdir().unwrap();
+        let path = folder.path().join("out.mvb");
+        let mut writer = ArchiveWriter::create(&path).unwrap();
+        crate::sections::write_scene(&mut writer, &bytemuck::Zeroable::zeroed(), &[]).unwrap();
+        let spool = writer.spool(spool_bytes);
+        let job = OctreeJob {
+            scene: &scene,
+            runs: &runs,
+            options: &options,
+            grid,
+            cells: &cells,
+            costs: &grid.costs(&runs, &cells),
+            bricks_bytes,
+            spool: &spool,
+            device: None,
+            steps: &Steps::without_store(),
+            progress: &Silent,
+        };
+        job.run().unwrap().write(&mut writer, &spool).unwrap();
+        writer.finish().unwrap();
+        let is_on_disk = spool.is_on_disk();
+        drop(spool);
+        assert_eq!(fs_err::read_dir(folder.path()).unwrap().count(), 1, "the archive alone is left");
+        (fs_err::read(&path).unwrap(), is_on_disk)
+    }
+
+    #[test]
+    fn bricks_one_by_one_and_on_disk_give_the_same_bytes() {
+        let (usual, is_on_disk) = octree_bytes(1 << 40, 1 << 40);
+        assert!(!is_on_disk);
+        let (little, is_on_disk) = octree_bytes(0, 0);
+        assert!(is_on_disk);
+        assert!(usual == little);
+    }
+}

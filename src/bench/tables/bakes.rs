@@ -151,7 +151,8 @@ pub fn bake_growth(growth: &Growth, measure: &mut MeasureBake<'_>) -> Result<Tab
     ];
     let title = format!("Bakes: time and memory against {}", growth.name);
     let mut table = Table::new(format!("bake-growth-{}", growth.name), title, &columns);
-    let (mut seconds, mut peaks): (Vec<(f64, f64)>, Vec<(f64, f64)>) = (Vec::new(), Vec::new());
+    let mut seconds: Vec<(f64, f64)> = Vec::new();
+    let mut peaks: Vec<(f64, f64)> = Vec::new();
     for (value, case) in &growth.cases {
         let Some(MeasuredBake { estimated, measured, .. }) = measure(case)? else { continue };
         let power = seconds.last().map_or(Cell::None, |(before, took)| {
