@@ -220,6 +220,8 @@ pub(crate) struct Placement {
     pub(crate) info: SceneInfo,
     pub(crate) cube: SceneCube,
     pub(crate) runs: Runs,
+    /// Sizes of the files that the scene was read from.
+    pub(crate) read_bytes: u64,
 }
 
 impl Placement {
@@ -248,7 +250,7 @@ impl Placement {
             bounds_min: min,
             bounds_max: max,
         };
-        Ok(Self { info, cube, runs })
+        Ok(Self { info, cube, runs, read_bytes: 0 })
     }
 }
 
@@ -285,9 +287,9 @@ pub(crate) fn bake_placed<W: Write + Seek + Send>(
     writer: &mut ArchiveWriter<W>,
     progress: &dyn Progress,
 ) -> Result<BakeReport, BakeError> {
-    let Placement { info, cube, runs } = placement;
+    let Placement { info, cube, runs, read_bytes } = placement;
     let cube = *cube;
-    let Plan { estimate, budget, cells, costs } = Plan::new(scene, options, runs, cube);
+    let Plan { estimate, budget, cells, costs } = Plan::new(scene, options, runs, cube, *read_bytes);
     progress.estimate(&estimate);
     if estimate.least_bytes > options.max_memory_bytes {
         return Err(BakeError::OverBudget {

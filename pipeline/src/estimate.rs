@@ -144,7 +144,14 @@ pub(crate) struct Plan {
 
 impl Plan {
     /// Counts, and cuts the work so that it fits the limit if it can.
-    pub(crate) fn new(scene: &Scene, options: &BakeOptions, runs: &Runs, cube: SceneCube) -> Self {
+    /// `read_bytes` were in memory while the scene was imported.
+    pub(crate) fn new(
+        scene: &Scene,
+        options: &BakeOptions,
+        runs: &Runs,
+        cube: SceneCube,
+        read_bytes: u64,
+    ) -> Self {
         let grid = RegionGrid { cube, grid: Grid::new(options.levels) };
         let cells = grid.cells(scene, runs).cells;
         let costs = grid.costs(runs, &cells);
@@ -187,7 +194,8 @@ impl Plan {
         let octree = bytes.looks + making + waiting;
         let points = rows.points_bytes + bytes.cutouts + waiting;
         let writing = rows.rows_bytes + rows_packs as u64 * pack_bytes * 2;
-        let peak_bytes = fixed + octree.max(points).max(writing);
+        let importing = PROGRAM_BYTES + bytes.scene + read_bytes;
+        let peak_bytes = (fixed + octree.max(points).max(writing)).max(importing);
         let least = fixed + (bytes.looks + coarse + largest).max(rows_least + coarse);
         let least_bytes = least / PLANNED_PERCENT * 100;
         let estimate = Estimate {
@@ -266,7 +274,7 @@ mod tests {
         };
         let options = BakeOptions { levels: 5, rows: None, max_memory_bytes, ..BakeOptions::default() };
         let cube = SceneCube { origin: [0.0; 3], size: 32.0 };
-        Plan::new(&scene, &options, &Runs::new(&scene), cube)
+        Plan::new(&scene, &options, &Runs::new(&scene), cube, 0)
     }
 
     const FLAT: [[f32; 3]; 4] = [[0.0, 5.0, 0.0], [32.0, 5.0, 0.0], [32.0, 5.0, 32.0], [0.0, 5.0, 32.0]];

@@ -58,13 +58,19 @@ pub(crate) fn coarse_cell(key: u32, bits: u32) -> u32 {
 /// Adds points, each with its cell's code, to others; of several in one cell the smallest stays. Both are in order, and
 /// so is the result.
 pub(crate) fn merge_points(keyed: &mut Vec<(u32, [i16; 3])>, others: Vec<(u32, [i16; 3])>) {
-    if keyed.is_empty() {
-        *keyed = others;
-        return;
+    let mut merged: Vec<(u32, [i16; 3])> = Vec::with_capacity(keyed.len() + others.len());
+    let (mut ours, mut theirs) = (keyed.iter().peekable(), others.iter().peekable());
+    loop {
+        let next = match (ours.peek(), theirs.peek()) {
+            (Some(a), Some(b)) if a <= b => ours.next(),
+            (_, Some(_)) => theirs.next(),
+            (Some(_), None) => ours.next(),
+            (None, None) => break,
+        };
+        // The first of a cell is its smallest.
+        merged.extend(next.filter(|point| merged.last().is_none_or(|last| last.0 != point.0)));
     }
-    keyed.extend(others);
-    keyed.par_sort_unstable();
-    keyed.dedup_by_key(|(key, _)| *key);
+    *keyed = merged;
 }
 
 /// As [`sampled_points`], each with the code of its own cell.
@@ -262,6 +268,15 @@ mod tests {
         let points = surface_points(&all, &Cutouts::default(), 5);
         assert_eq!(points.len(), 32 * 32);
         assert!(points.iter().all(|p| p[1] == 100), "points lie on the surface");
+    }
+
+    #[test]
+    fn merged_points_are_in_order_and_the_smallest_of_each_cell() {
+        let mut points = vec![(1, [5, 0, 0]), (3, [2, 0, 0]), (9, [0, 0, 7])];
+        merge_points(&mut points, vec![(0, [1; 3]), (1, [4, 0, 0]), (3, [2, 0, 0]), (3, [2, 0, 1])]);
+        assert_eq!(points, [(0, [1; 3]), (1, [4, 0, 0]), (3, [2, 0, 0]), (9, [0, 0, 7])]);
+        merge_points(&mut points, Vec::new());
+        assert_eq!(points.len(), 4);
     }
 
     #[test]

@@ -139,7 +139,7 @@ pub struct Growth {
 pub fn bake_growth(growth: &Growth, measure: &mut MeasureBake<'_>) -> Result<Table, BenchError> {
     let columns = [
         growth.name,
-        "triangles",
+        "drawn triangles",
         "leaves",
         "seconds",
         "power",
