@@ -236,6 +236,14 @@ fn part_prefix(name: &OsStr) -> OsString {
     prefix
 }
 
+/// Makes a hidden file beside `output`, empty and locked; where it is.
+pub(crate) fn create_hidden(output: &Path) -> Result<(PathBuf, fs_err::File), AtomicFileError> {
+    let fail = |source| AtomicFileError { path: output.to_owned(), action: "make room beside it", source };
+    let target = replaceable_target(output).map_err(fail)?;
+    let name = target.file_name().ok_or_else(|| fail(io::Error::other("the path names no file")))?;
+    create_part(folder_of(&target), name).map_err(fail)
+}
+
 fn create_part(folder: &Path, name: &OsStr) -> io::Result<(PathBuf, fs_err::File)> {
     static NEXT: AtomicU64 = AtomicU64::new(0);
     loop {
@@ -246,7 +254,7 @@ fn create_part(folder: &Path, name: &OsStr) -> io::Result<(PathBuf, fs_err::File
             NEXT.fetch_add(1, Ordering::Relaxed)
         ));
         let part = folder.join(part_name);
-        let file = match fs_err::OpenOptions::new().write(true).create_new(true).open(&part) {
+        let file = match fs_err::OpenOptions::new().read(true).write(true).create_new(true).open(&part) {
             // A killed process with our number left it, and it could not be removed.
             Err(error) if error.kind() == ErrorKind::AlreadyExists => continue,
             other => other?,

@@ -96,4 +96,5 @@
 pub mod archive;
 pub mod atomic;
 pub mod digest;
+pub mod scratch;
 pub mod store;

@@ -44,6 +44,20 @@ impl<'s> Appearance<'s> {
 
     /// As [`new`](Self::new), for those meshes that `is_wanted` tells by their index; the others must not be asked for.
     pub fn of_meshes(scene: &'s Scene, voxel_size: f64, is_wanted: impl Fn(usize) -> bool) -> Self {
+        Self::prepared(scene, voxel_size, is_wanted, MipChain::new)
+    }
+
+    /// As [`of_meshes`](Self::of_meshes), with textures as they are: quick, and near enough for an estimate.
+    pub(crate) fn unfiltered(scene: &'s Scene, voxel_size: f64, is_wanted: impl Fn(usize) -> bool) -> Self {
+        Self::prepared(scene, voxel_size, is_wanted, |texture, _| MipChain::unfiltered(texture))
+    }
+
+    fn prepared(
+        scene: &'s Scene,
+        voxel_size: f64,
+        is_wanted: impl Fn(usize) -> bool,
+        chain: impl Fn(&Texture, bool) -> MipChain + Sync,
+    ) -> Self {
         #[derive(Clone, Copy, Default)]
         struct Use {
             base_color: bool,
@@ -76,8 +90,8 @@ impl<'s> Appearance<'s> {
             .zip(&scene.textures)
             .map(|(wanted, texture)| {
                 (
-                    wanted.base_color.then(|| MipChain::new(texture, wanted.weighted)),
-                    wanted.emissive.then(|| MipChain::new(texture, false)),
+                    wanted.base_color.then(|| chain(texture, wanted.weighted)),
+                    wanted.emissive.then(|| chain(texture, false)),
                 )
             })
             .collect();
@@ -225,6 +239,11 @@ struct Mip {
 }
 
 impl MipChain {
+    fn unfiltered(texture: &Texture) -> Self {
+        let texels = texture.texels.iter().map(|&[r, g, b, _]| [r, g, b]).collect();
+        Self { levels: vec![Mip { size: [texture.width, texture.height], texels }] }
+    }
+
     /// `weighted`: texels count by their alpha, so that the colour of what is cut away does not bleed in.
     fn new(texture: &Texture, weighted: bool) -> Self {
         let mut alphas: Vec<u8> = texture.texels.iter().map(|t| if weighted { t[3] } else { 255 }).collect();

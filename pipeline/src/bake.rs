@@ -4,7 +4,7 @@
 //! [`BakeOptions`] alone, not on threads, backend, machine or time.
 
 use crate::cube::SceneCube;
-use crate::estimate::Estimate;
+use crate::estimate::{Estimate, Plan};
 use crate::regions::{OctreeJob, RegionGrid};
 use crate::rows::RowsOptions;
 use crate::rows_step::RowsJob;
@@ -144,12 +144,13 @@ pub enum BakeError {
     },
     /// The plan needs more memory than allowed.
     #[error(
-        "the bake needs about {} MiB, the limit is {} MiB: raise --max-memory, or lower --levels (now {levels})",
+        "even in the smallest pieces the bake needs about {} MiB, the limit is {} MiB: raise --max-memory, or lower \
+         --levels (now {levels}), --rows or --jobs",
         needed_bytes >> 20,
         limit_bytes >> 20
     )]
     OverBudget {
-        /// Estimated peak.
+        /// Estimated peak of the smallest pieces.
         needed_bytes: u64,
         /// `--max-memory`.
         limit_bytes: u64,
@@ -219,6 +220,8 @@ pub(crate) struct Placement {
     pub(crate) info: SceneInfo,
     pub(crate) cube: SceneCube,
     pub(crate) runs: Runs,
+    /// Sizes of the files that the scene was read from.
+    pub(crate) read_bytes: u64,
 }
 
 impl Placement {
@@ -247,7 +250,7 @@ impl Placement {
             bounds_min: min,
             bounds_max: max,
         };
-        Ok(Self { info, cube, runs })
+        Ok(Self { info, cube, runs, read_bytes: 0 })
     }
 }
 
@@ -284,13 +287,13 @@ pub(crate) fn bake_placed<W: Write + Seek + Send>(
     writer: &mut ArchiveWriter<W>,
     progress: &dyn Progress,
 ) -> Result<BakeReport, BakeError> {
-    let Placement { info, cube, runs } = placement;
+    let Placement { info, cube, runs, read_bytes } = placement;
     let cube = *cube;
-    let estimate = Estimate::new(scene, options, cube);
+    let Plan { estimate, budget, cells, costs } = Plan::new(scene, options, runs, cube, *read_bytes);
     progress.estimate(&estimate);
-    if estimate.peak_bytes > options.max_memory_bytes {
+    if estimate.least_bytes > options.max_memory_bytes {
         return Err(BakeError::OverBudget {
-            needed_bytes: estimate.peak_bytes,
+            needed_bytes: estimate.least_bytes,
             limit_bytes: options.max_memory_bytes,
             levels: options.levels,
         });
@@ -305,7 +308,22 @@ pub(crate) fn bake_placed<W: Write + Seek + Send>(
     seconds[0] += clock.elapsed().as_secs_f64();
 
     let clock = std::time::Instant::now();
-    let octree = OctreeJob { scene, runs, options, grid, device, steps, progress }.run()?;
+    let spool = writer.spool(budget.spool_bytes);
+    let octree = OctreeJob {
+        scene,
+        runs,
+        options,
+        grid,
+        cells: &cells,
+        costs: &costs,
+        bricks_bytes: budget.bricks_bytes,
+        spool: &spool,
+        device,
+        steps,
+        progress,
+    }
+    .run()?;
+    drop((cells, costs));
     sections::write_svo_info(writer, &octree.info)?;
     // Readers want all heads before the long sections, so the octree waits until the rows are planned.
     seconds[1] = clock.elapsed().as_secs_f64();
@@ -330,11 +348,12 @@ pub(crate) fn bake_placed<W: Write + Seek + Send>(
     if let Some(rows) = &rows {
         rows.write_info(writer)?;
     }
-    octree.write(writer)?;
+    octree.write(writer, &spool)?;
     let svo_info = octree.info;
     drop(octree);
+    drop(spool);
     if let Some(rows) = &rows {
-        points = rows.write(writer)?;
+        points = rows.write(writer, budget.rows_packs)?;
         rows.finish();
     }
     seconds[2] = clock.elapsed().as_secs_f64();

@@ -21,6 +21,7 @@ pub mod rows_frames;
 pub mod rows_step;
 pub mod run;
 pub mod runs;
+mod sample;
 pub mod scene;
 pub mod sections;
 pub mod steps;

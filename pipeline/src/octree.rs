@@ -44,6 +44,11 @@ impl Bricks {
     /// Bins triangles into bricks of `2^brick_bits` voxels a side. Triangles without area, which have no fragments, are
     /// in none.
     pub fn new(grid: Grid, brick_bits: u32, triangles: &[[[i16; 3]; 3]]) -> Self {
+        Self::within(grid, brick_bits, EVERYWHERE, triangles)
+    }
+
+    /// As [`new`](Self::new), of those bricks alone that lie within a box of bricks (smallest and largest).
+    pub fn within(grid: Grid, brick_bits: u32, within: [[i64; 3]; 2], triangles: &[[[i16; 3]; 3]]) -> Self {
         let brick_bits = brick_bits.min(grid.bits);
         let shift = brick_bits + grid.sub_bits;
         let mut entries: Vec<u64> = triangles
@@ -52,7 +57,7 @@ impl Bricks {
             .flat_map_iter(|(chunk, triangles)| {
                 let mut entries = Vec::with_capacity(triangles.len() * 2);
                 for (index, triangle) in (chunk * CHUNK..).zip(triangles) {
-                    cells_touched(&triangle.map(|p| p.map(i64::from)), shift, |cell| {
+                    cells_touched(&triangle.map(|p| p.map(i64::from)), shift, within, |cell| {
                         let code = morton(cell.map(|c| c as u32));
                         entries.push(u64::from(code) << 32 | index as u64);
                     });
@@ -77,13 +82,6 @@ impl Bricks {
         self.len() == 0
     }
 
-    /// The bricks whose codes are in `from .. to`.
-    pub fn range(&self, from: u32, to: u32) -> std::ops::Range<usize> {
-        let code = |start: &usize| self.entries.get(*start).map_or(u32::MAX, |entry| (entry >> 32) as u32);
-        let at = |code_of: u32| self.starts[..self.len()].partition_point(|start| code(start) < code_of);
-        at(from)..at(to)
-    }
-
     /// Morton code, box and triangles of brick `index`; bricks come in Morton order.
     pub fn brick(&self, index: usize) -> (u32, VoxelBox, Vec<u32>) {
         let entries = &self.entries[self.starts[index]..self.starts[index + 1]];
@@ -94,12 +92,29 @@ impl Bricks {
     }
 }
 
-/// Visits the cubic cells of edge `2^shift` that a triangle passes through, and few others: columns of cells along the
-/// axis that the triangle faces most, each from the lowest to the highest point of the plane in it. So the work grows
-/// with the triangle's projected bounds, not with the volume of its bounds.
-pub(crate) fn cells_touched(triangle: &[[i64; 3]; 3], shift: u32, mut visit: impl FnMut([i64; 3])) {
-    let lo = [0, 1, 2].map(|i| triangle.iter().map(|v| v[i]).min().expect("three vertices") >> shift);
-    let hi = [0, 1, 2].map(|i| triangle.iter().map(|v| v[i]).max().expect("three vertices") >> shift);
+/// A box of cells that all are in.
+pub(crate) const EVERYWHERE: [[i64; 3]; 2] = [[i64::MIN; 3], [i64::MAX; 3]];
+
+/// Visits the cubic cells of edge `2^shift` within a box of cells (smallest and largest) that a triangle passes
+/// through, and few others: columns of cells along the axis that the triangle faces most, each from the lowest to the
+/// highest point of the plane in it. So the work grows with the triangle's projected bounds in the box, not with the
+/// volume of its bounds.
+pub(crate) fn cells_touched(
+    triangle: &[[i64; 3]; 3],
+    shift: u32,
+    within: [[i64; 3]; 2],
+    mut visit: impl FnMut([i64; 3]),
+) {
+    let cell_of = |p: &[i64; 3], i: usize| p[i] >> shift;
+    let whole = [0, 1, 2].map(|i| {
+        let cells = triangle.each_ref().map(|p| cell_of(p, i));
+        [cells[0].min(cells[1]).min(cells[2]), cells[0].max(cells[1]).max(cells[2])]
+    });
+    let lo = [0, 1, 2].map(|i| whole[i][0].max(within[0][i]));
+    let hi = [0, 1, 2].map(|i| whole[i][1].min(within[1][i]));
+    if (0..3).any(|i| lo[i] > hi[i]) {
+        return;
+    }
     let e = |i: usize, c: usize| triangle[i][c] - triangle[0][c];
     let normal = [
         e(1, 1) * e(2, 2) - e(1, 2) * e(2, 1),
@@ -109,7 +124,7 @@ pub(crate) fn cells_touched(triangle: &[[i64; 3]; 3], shift: u32, mut visit: imp
     if normal == [0; 3] {
         return;
     }
-    if lo == hi {
+    if whole.iter().all(|[lo, hi]| lo == hi) {
         return visit(lo);
     }
     let z = (0..3).max_by_key(|&axis| normal[axis].abs()).expect("three axes");
@@ -387,6 +402,24 @@ mod tests {
             }
             assert_eq!(found, expected, "bricks of {brick_bits} bits");
         }
+    }
+
+    #[test]
+    fn bricks_within_a_box_are_those_of_all_bricks() {
+        let grid = Grid::new(8);
+        let end = (grid.lattice_size() - 1) as i16;
+        let triangles =
+            [[[0; 3], [end, 7, end / 2], [end / 3, end, 9]], [[end, 0, 0], [5, end, 1], [0, 40, end]]];
+        let all = Bricks::new(grid, 4, &triangles);
+        let within = [[3, 0, 5], [9, 6, 7]];
+        let some = Bricks::within(grid, 4, within, &triangles);
+        let is_in = |code: u32| {
+            let cell = cell_of_morton(code).map(i64::from);
+            (0..3).all(|i| (within[0][i]..=within[1][i]).contains(&cell[i]))
+        };
+        let inside: Vec<_> = (0..all.len()).map(|i| all.brick(i)).filter(|(code, ..)| is_in(*code)).collect();
+        assert!(inside.len() > 5 && inside.len() < all.len());
+        assert_eq!(inside, (0..some.len()).map(|i| some.brick(i)).collect::<Vec<_>>());
     }
 
     #[test]

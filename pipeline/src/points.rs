@@ -22,6 +22,8 @@ use rayon::prelude::*;
 
 /// Triangles that one task samples before it drops what falls into the same cell.
 const CHUNK: usize = 4096;
+/// Points that a task collects before it does so earlier.
+const MOST_POINTS: usize = 1 << 16;
 
 /// Points on the triangles, about one per cell of a grid of `2^bits` cells a side over the row lattice.
 ///
@@ -43,32 +45,72 @@ pub fn sampled_points(
     bits: u32,
     is_wanted: impl Fn(u32) -> bool + Sync,
 ) -> Vec<(u32, [i16; 3])> {
+    let mut keyed = keyed_points(triangles, cutouts, bits, is_wanted);
+    keyed.iter_mut().for_each(|(key, _)| *key = coarse_cell(*key, bits));
+    keyed
+}
+
+/// The coarse cell of a finer one, whose code begins with its.
+pub(crate) fn coarse_cell(key: u32, bits: u32) -> u32 {
+    key >> (3 * bits.saturating_sub(POINT_CELL_BITS))
+}
+
+/// Adds points, each with its cell's code, to others; of several in one cell the smallest stays. Both are in order, and
+/// so is the result.
+pub(crate) fn merge_points(keyed: &mut Vec<(u32, [i16; 3])>, others: Vec<(u32, [i16; 3])>) {
+    let mut merged: Vec<(u32, [i16; 3])> = Vec::with_capacity(keyed.len() + others.len());
+    let (mut ours, mut theirs) = (keyed.iter().peekable(), others.iter().peekable());
+    loop {
+        let next = match (ours.peek(), theirs.peek()) {
+            (Some(a), Some(b)) if a <= b => ours.next(),
+            (_, Some(_)) => theirs.next(),
+            (Some(_), None) => ours.next(),
+            (None, None) => break,
+        };
+        // The first of a cell is its smallest.
+        merged.extend(next.filter(|point| merged.last().is_none_or(|last| last.0 != point.0)));
+    }
+    *keyed = merged;
+}
+
+/// As [`sampled_points`], each with the code of its own cell.
+pub(crate) fn keyed_points(
+    triangles: &LatticeTriangles,
+    cutouts: &Cutouts,
+    bits: u32,
+    is_wanted: impl Fn(u32) -> bool + Sync,
+) -> Vec<(u32, [i16; 3])> {
     let grid = Grid::new(bits);
-    // A coarse cell's code is the front of its finer cells'.
-    let below = 3 * bits.saturating_sub(POINT_CELL_BITS);
-    let coarse = |key: u32| key >> below;
+    let thin = |points: &mut Vec<(u32, [i16; 3])>| {
+        points.sort_unstable();
+        points.dedup_by_key(|(key, _)| *key);
+    };
     let mut keyed: Vec<(u32, [i16; 3])> = (0..triangles.triangles.len().div_ceil(CHUNK))
         .into_par_iter()
         .flat_map_iter(|chunk| {
             let mut points = Vec::new();
+            let mut most = MOST_POINTS;
             let end = ((chunk + 1) * CHUNK).min(triangles.triangles.len());
             for index in chunk * CHUNK..end {
+                // Large triangles give many points, over each other perhaps the same ones again and again.
+                if points.len() > most {
+                    thin(&mut points);
+                    most = MOST_POINTS.max(2 * points.len());
+                }
                 let mask = triangles.mask(cutouts, index);
                 sample_triangle(grid, &triangles.triangles[index], mask, cutouts, |p| {
                     let key = cell_key(p, bits);
-                    if is_wanted(coarse(key)) {
+                    if is_wanted(coarse_cell(key, bits)) {
                         points.push((key, p));
                     }
                 });
             }
-            points.sort_unstable();
-            points.dedup_by_key(|(key, _)| *key);
+            thin(&mut points);
             points
         })
         .collect();
     keyed.par_sort_unstable();
     keyed.dedup_by_key(|(key, _)| *key);
-    keyed.iter_mut().for_each(|(key, _)| *key = coarse(*key));
     keyed
 }
 
@@ -226,6 +268,15 @@ mod tests {
         let points = surface_points(&all, &Cutouts::default(), 5);
         assert_eq!(points.len(), 32 * 32);
         assert!(points.iter().all(|p| p[1] == 100), "points lie on the surface");
+    }
+
+    #[test]
+    fn merged_points_are_in_order_and_the_smallest_of_each_cell() {
+        let mut points = vec![(1, [5, 0, 0]), (3, [2, 0, 0]), (9, [0, 0, 7])];
+        merge_points(&mut points, vec![(0, [1; 3]), (1, [4, 0, 0]), (3, [2, 0, 0]), (3, [2, 0, 1])]);
+        assert_eq!(points, [(0, [1; 3]), (1, [4, 0, 0]), (3, [2, 0, 0]), (9, [0, 0, 7])]);
+        merge_points(&mut points, Vec::new());
+        assert_eq!(points.len(), 4);
     }
 
     #[test]

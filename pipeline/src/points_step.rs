@@ -3,7 +3,7 @@
 //! A cell's points are a function of the runs that reach into it. All cells of a scene are one value of the store; the
 //! next bake with the same settings starts from the last one's and samples anew only those cells whose runs differ.
 
-use crate::points::{POINT_CELL_BITS, cell_code, sampled_points};
+use crate::points::{POINT_CELL_BITS, cell_code, coarse_cell, keyed_points, merge_points};
 use crate::runs::{Cell, CellRuns, Runs};
 use crate::scene::Scene;
 use crate::steps::{POINTS, Reader, StepKind, Steps, step_key};
@@ -11,6 +11,7 @@ use crate::triangles::{Cutouts, LatticeTriangles};
 use manyview_cache::digest::{Digest, KeyEncoder};
 use manyview_shaders::directions::RowLattice;
 use rayon::prelude::*;
+use std::ops::Range;
 
 /// Version of the step: bumped when its results change.
 const VERSION: u32 = 1;
@@ -67,7 +68,7 @@ impl PointCells {
     }
 
     /// Each cell with the range of its points.
-    pub(crate) fn ranges(&self) -> impl Iterator<Item = (&PointCell, std::ops::Range<usize>)> {
+    pub(crate) fn ranges(&self) -> impl Iterator<Item = (&PointCell, Range<usize>)> {
         self.cells.iter().scan(0, |start, cell| {
             let range = *start..*start + cell.count as usize;
             *start = range.end;
@@ -89,6 +90,24 @@ pub struct PointsJob<'a> {
     pub bits: u32,
     /// The store.
     pub steps: &'a Steps,
+}
+
+/// Triangles that are flattened at the same time, about.
+const WAVE_TRIANGLES: usize = 1 << 20;
+
+/// Cuts pieces into waves of about [`WAVE_TRIANGLES`].
+fn waves(pieces: &[(u32, Range<u32>)]) -> Vec<&[(u32, Range<u32>)]> {
+    let mut waves = Vec::new();
+    let (mut start, mut triangles) = (0, 0);
+    for (at, (_, range)) in pieces.iter().enumerate() {
+        triangles += range.len();
+        if triangles >= WAVE_TRIANGLES {
+            waves.push(&pieces[start..=at]);
+            (start, triangles) = (at + 1, 0);
+        }
+    }
+    waves.push(&pieces[start..]);
+    waves
 }
 
 /// Adds what all keys of rows share.
@@ -139,7 +158,7 @@ impl PointsJob<'_> {
         }
         let mut old = last.map(|last| last.ranges().peekable());
         // The range of the points of a cell in `last`, where they are the same.
-        let kept: Vec<Option<std::ops::Range<usize>>> = cells
+        let kept: Vec<Option<Range<usize>>> = cells
             .iter()
             .map(|(cell, digest)| {
                 let old = old.as_mut()?;
@@ -174,11 +193,7 @@ impl PointsJob<'_> {
     }
 
     /// The points of the cells that are not kept, each with its cell's code, in Morton order.
-    fn sample(
-        &self,
-        cells: &[(Cell, Digest)],
-        kept: &[Option<std::ops::Range<usize>>],
-    ) -> Vec<(u32, [i16; 3])> {
+    fn sample(&self, cells: &[(Cell, Digest)], kept: &[Option<Range<usize>>]) -> Vec<(u32, [i16; 3])> {
         let mut wanted_runs = vec![false; self.runs.runs.len()];
         let mut wanted_meshes = vec![false; self.scene.meshes.len()];
         let mut wanted_cells = vec![false; 1 << (3 * POINT_CELL_BITS)];
@@ -198,9 +213,17 @@ impl PointsJob<'_> {
             wanted_meshes[self.scene.instances[*instance as usize].mesh as usize] = true;
         }
         let cutouts = Cutouts::of_meshes(self.scene, |mesh| wanted_meshes[mesh]);
-        let triangles =
-            LatticeTriangles::of_pieces(self.scene, &cutouts, &pieces, |p| self.lattice.snap(p.to_array()));
-        sampled_points(&triangles, &cutouts, self.bits, |cell| wanted_cells[cell as usize])
+        let mut keyed = Vec::new();
+        // Never all triangles at once: a few instanced meshes may draw billions.
+        for pieces in waves(&pieces) {
+            let triangles = LatticeTriangles::of_pieces(self.scene, &cutouts, pieces, |p| {
+                self.lattice.snap(p.to_array())
+            });
+            let points = keyed_points(&triangles, &cutouts, self.bits, |cell| wanted_cells[cell as usize]);
+            merge_points(&mut keyed, points);
+        }
+        keyed.iter_mut().for_each(|(key, _)| *key = coarse_cell(*key, self.bits));
+        keyed
     }
 }
 

@@ -18,13 +18,14 @@ use crate::runs::{Cell, CellRuns, Runs};
 use crate::scene::Scene;
 use crate::steps::{LOOKS, Reader, SHAPES, StepKind, Steps, step_key};
 use crate::triangles::{Cutouts, LatticeTriangles};
-use manyview_cache::archive::ArchiveWriter;
+use manyview_cache::archive::{ArchiveError, ArchiveWriter, ChunkSpool, CompressedChunk, SpooledChunk};
 use manyview_cache::digest::Digest;
 use manyview_cache::store::{Claim, ClaimGuard};
 use manyview_shaders::device::VoxelDevice;
 use manyview_shaders::raster::Grid;
 use manyview_shaders::sections::{SvoInfo, name};
 use manyview_shaders::svo::SvoLevel;
+pub(crate) use part::byte_planes;
 use part::{Part, SHAPE_PLANES, level_of, look_plane_count, look_planes, shape_planes, split};
 use rayon::prelude::*;
 use std::io::{Seek, Write};
@@ -70,8 +71,27 @@ impl RegionGrid {
         let snap = |p: glam::DVec3| self.cube.snap(self.grid, p.to_array());
         let cell_of = |p: glam::DVec3| snap(p).map(|c| i64::from(c) >> self.shift());
         CellRuns::new(scene, runs, cell_of, |corners, visit| {
-            octree::cells_touched(&corners.map(|p| snap(p).map(i64::from)), self.shift(), visit);
+            let corners = corners.map(|p| snap(p).map(i64::from));
+            octree::cells_touched(&corners, self.shift(), octree::EVERYWHERE, visit);
         })
+    }
+
+    /// What each of some cells will cost. A run's surface is shared by its cells.
+    pub fn costs(self, runs: &Runs, cells: &[Cell]) -> Vec<BrickCost> {
+        let mut cells_of_run = vec![0u32; runs.runs.len()];
+        cells.iter().flat_map(|cell| &cell.runs).for_each(|run| cells_of_run[*run as usize] += 1);
+        let voxel = self.cube.size / f64::from(self.grid.size());
+        let most = (1u64 << (3 * self.bits())) as f64;
+        let cost = |cell: &Cell| {
+            let add = |cost: BrickCost, run: &u32| BrickCost {
+                triangles: cost.triangles + runs.runs[*run as usize].triangles.len() as u64,
+                leaves: cost.leaves
+                    + runs.runs[*run as usize].voxels(voxel) / f64::from(cells_of_run[*run as usize]),
+            };
+            let cost = cell.runs.iter().fold(BrickCost::default(), add);
+            BrickCost { leaves: cost.leaves.min(most), ..cost }
+        };
+        cells.par_iter().map(cost).collect()
     }
 
     /// Whether the store says that nothing is in a brick.
@@ -95,6 +115,24 @@ impl RegionGrid {
     }
 }
 
+/// What making a brick takes, as far as its runs tell.
+#[derive(Debug, Clone, Copy, Default, PartialEq)]
+pub struct BrickCost {
+    /// Triangles of the runs that reach into it.
+    pub triangles: u64,
+    /// Voxels that they fill.
+    pub leaves: f64,
+}
+
+impl BrickCost {
+    /// Most memory while the brick is made.
+    pub fn bytes(self) -> u64 {
+        // 26 bytes a snapped triangle, twice while runs are joined, and a few bricks of 64³ of 8 bytes for each. 12 bytes
+        // a leaf and its share of inner nodes, while bricks are joined, as planes, and compressed.
+        self.triangles * 80 + (self.leaves * 40.0) as u64 + (1 << 18)
+    }
+}
+
 /// Keys of the steps of a brick.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub struct RegionKeys {
@@ -104,11 +142,15 @@ pub struct RegionKeys {
     pub look: Digest,
 }
 
-/// A brick with its results.
+/// A brick with its results: what is needed to join it with others, and its chunks.
 struct Region {
     code: u32,
-    shape: Part,
-    look: Part,
+    /// Nodes of each level, the brick's root first.
+    counts: Vec<u32>,
+    /// Coarse levels of shape and look.
+    coarse: [Vec<u8>; 2],
+    /// Of shape and look, one list for each byte plane of each fine level.
+    fine: [Vec<Vec<SpooledChunk>>; 2],
 }
 
 /// The octree, ready to be written.
@@ -132,6 +174,14 @@ pub struct OctreeJob<'a> {
     pub options: &'a BakeOptions,
     /// Where the octree lies.
     pub grid: RegionGrid,
+    /// The bricks that runs reach into.
+    pub cells: &'a [Cell],
+    /// What each of them will cost.
+    pub costs: &'a [BrickCost],
+    /// What bricks may cost that are made at the same time.
+    pub bricks_bytes: u64,
+    /// Where finished bricks wait.
+    pub spool: &'a ChunkSpool,
     /// Where voxels are made.
     pub device: Option<&'a dyn VoxelDevice>,
     /// The store.
@@ -140,72 +190,99 @@ pub struct OctreeJob<'a> {
     pub progress: &'a dyn Progress,
 }
 
+/// What has become of a brick.
+enum Done {
+    /// Nothing is in it.
+    Empty,
+    Made(Region),
+    /// It must be made.
+    Missing,
+}
+
 impl OctreeJob<'_> {
-    /// Finds or makes every brick, and joins them.
+    /// Finds or makes every brick, and joins them. Bricks are made in waves, so that memory holds.
     pub fn run(&self) -> Result<Octree, BakeError> {
-        let (runs, grid) = (self.runs, self.grid);
+        let (runs, grid, cells) = (self.runs, self.grid, self.cells);
         let emits = emits(self.scene);
-        let cells = grid.cells(self.scene, runs).cells;
         let keys: Vec<RegionKeys> = cells.par_iter().map(|cell| grid.keys(runs, cell)).collect();
-        let mut found: Vec<(Option<Part>, Option<Part>)> =
-            keys.par_iter().map(|keys| self.find(keys, emits)).collect();
-        let missing: Vec<usize> =
-            (0..cells.len()).filter(|&i| found[i].0.is_none() || found[i].1.is_none()).collect();
-        let hits = found.iter().filter(|parts| parts.0.is_some() && parts.1.is_some());
-        let looks = hits.clone().filter(|parts| parts.1.as_ref().is_some_and(|look| !look.counts.is_empty()));
-        self.steps.count(StepKind::Bricks, hits.clone().count(), 0, 0);
-        self.steps.count(StepKind::Attributes, looks.count(), 0, 0);
+        let find = |(cell, keys)| match self.find(keys, emits) {
+            (Some(shape), Some(look)) => self.put_aside(cell, shape, look),
+            _ => Ok(Done::Missing),
+        };
+        let mut done: Vec<Done> = cells.par_iter().zip(&keys).map(find).collect::<Result<_, BakeError>>()?;
+        let missing: Vec<usize> = (0..cells.len()).filter(|&i| matches!(done[i], Done::Missing)).collect();
+        let looks = done.iter().filter(|done| matches!(done, Done::Made(_))).count();
+        self.steps.count(StepKind::Bricks, cells.len() - missing.len(), 0, 0);
+        self.steps.count(StepKind::Attributes, looks, 0, 0);
         if !missing.is_empty() {
             let maker = Maker::new(self, emits, missing.iter().flat_map(|&i| &cells[i].runs));
             self.progress.begin("octree", missing.len() as u64, "bricks");
-            let make = |&index: &usize, waits: bool| {
-                let made = maker.make_or_wait(&cells[index], &keys[index], waits)?;
-                if made.is_some() {
-                    self.progress.advance(1);
-                }
-                Ok::<_, BakeError>((index, made))
+            let make = |index: usize, waits: bool| {
+                let Some((shape, look)) = maker.make_or_wait(&cells[index], &keys[index], waits)? else {
+                    return Ok((index, Done::Missing));
+                };
+                self.progress.advance(1);
+                Ok::<_, BakeError>((index, self.put_aside(&cells[index], shape, look)?))
             };
-            let mut results: Vec<(usize, Option<(Part, Part)>)> = if self.device.is_some() {
-                missing.iter().map(|index| make(index, false)).collect::<Result<_, _>>()?
-            } else {
-                missing
-                    .par_iter()
-                    .with_max_len(1)
-                    .map(|index| make(index, false))
-                    .collect::<Result<_, _>>()?
-            };
-            // What other processes were at: theirs by now, or ours.
-            for (index, result) in &mut results {
-                if result.is_none() {
-                    *result = make(index, true)?.1;
-                }
+            for wave in self.waves(&missing) {
+                let results: Vec<(usize, Done)> = if self.device.is_some() {
+                    wave.iter().map(|&index| make(index, false)).collect::<Result<_, _>>()?
+                } else {
+                    let wave = wave.par_iter().with_max_len(1);
+                    wave.map(|&index| make(index, false)).collect::<Result<_, _>>()?
+                };
+                results.into_iter().for_each(|(index, result)| done[index] = result);
             }
-            for (index, result) in results {
-                if let Some((shape, look)) = result {
-                    found[index] = (Some(shape), Some(look));
+            // What other processes were at: theirs by now, or ours.
+            for &index in &missing {
+                if matches!(done[index], Done::Missing) {
+                    done[index] = make(index, true)?.1;
                 }
             }
         }
-        let regions: Vec<Region> = cells
-            .iter()
-            .zip(found)
-            .filter_map(|(cell, parts)| match parts {
-                (Some(shape), Some(look)) if !look.counts.is_empty() => {
-                    Some(Region { code: cell.code, shape, look })
-                }
-                _ => None,
-            })
-            .collect();
+        let made = |done| if let Done::Made(region) = done { Some(region) } else { None };
+        let regions: Vec<Region> = done.into_iter().filter_map(made).collect();
         if regions.is_empty() {
             return Err(self.nothing());
         }
         Octree::join(grid, emits, regions)
     }
 
+    /// Cuts bricks into pieces that may be made at the same time; at least one brick each.
+    fn waves<'m>(&self, missing: &'m [usize]) -> Vec<&'m [usize]> {
+        let mut waves = Vec::new();
+        let (mut start, mut bytes) = (0, 0u64);
+        for (at, &index) in missing.iter().enumerate() {
+            let cost = self.costs[index].bytes();
+            if at > start && bytes.saturating_add(cost) > self.bricks_bytes {
+                waves.push(&missing[start..at]);
+                (start, bytes) = (at, 0);
+            }
+            bytes = bytes.saturating_add(cost);
+        }
+        waves.push(&missing[start..]);
+        waves
+    }
+
+    /// Keeps a brick's parts until the octree is written.
+    fn put_aside(&self, cell: &Cell, shape: Part, look: Part) -> Result<Done, BakeError> {
+        if look.counts.is_empty() {
+            return Ok(Done::Empty);
+        }
+        let spooled = |lists: Vec<Vec<CompressedChunk>>| {
+            let list = |chunks: Vec<CompressedChunk>| {
+                chunks.into_iter().map(|chunk| self.spool.push(chunk)).collect::<Result<_, _>>()
+            };
+            lists.into_iter().map(list).collect::<Result<_, ArchiveError>>()
+        };
+        let fine = [spooled(shape.fine)?, spooled(look.fine)?];
+        let coarse = [shape.coarse, look.coarse];
+        Ok(Done::Made(Region { code: cell.code, counts: look.counts, coarse, fine }))
+    }
+
     /// Why there are no voxels.
     fn nothing(&self) -> BakeError {
-        let cutouts = Cutouts::new(self.scene);
-        if LatticeTriangles::new(self.scene, &cutouts, |_| [0; 3]).triangles.is_empty() {
+        if Cutouts::new(self.scene).leaves_nothing(self.scene) {
             return BakeError::AllTransparent;
         }
         BakeError::NoVoxels { levels: self.options.levels }
@@ -324,13 +401,38 @@ impl<'a> Maker<'a> {
             .map(|run| &job.runs.runs[*run as usize])
             .map(|run| (run.instance, run.triangles.clone()))
             .collect();
-        let triangles =
-            LatticeTriangles::of_pieces(job.scene, &self.cutouts, &pieces, |p| cube.snap(grid, p.to_array()));
+        // Runs may reach far beyond the brick.
+        let place = octree::cell_of_morton(cell.code).map(i64::from);
+        let (step, half) = (1i32 << grid.sub_bits, 1i32 << (grid.sub_bits - 1));
+        let is_near = |triangle: &[[i16; 3]; 3]| {
+            // A fragment is at the middle of a voxel along two axes; most triangles that are small in voxels have none.
+            let has_middle = |i: &usize| {
+                let [a, b, c] = triangle.each_ref().map(|p| i32::from(p[*i]));
+                let [lo, hi] = [a.min(b).min(c), a.max(b).max(c)];
+                (lo - half + step - 1) >> grid.sub_bits <= (hi - half) >> grid.sub_bits
+            };
+            if (0..3).filter(has_middle).count() < 2 {
+                return false;
+            }
+            (0..3).all(|i| {
+                let cells = triangle.each_ref().map(|p| i64::from(p[i]) >> job.grid.shift());
+                cells.iter().any(|cell| *cell <= place[i]) && cells.iter().any(|cell| *cell >= place[i])
+            })
+        };
+        let triangles = LatticeTriangles::of_pieces_where(
+            job.scene,
+            &self.cutouts,
+            &pieces,
+            |p| cube.snap(grid, p.to_array()),
+            is_near,
+        );
         let bits = job.grid.bits();
         let brick_bits = if job.device.is_some() { bits } else { CPU_BRICK_BITS.min(bits) };
-        let bricks = Bricks::new(grid, brick_bits, &triangles.triangles);
+        let first = place.map(|c| c << (bits - brick_bits));
+        let last = place.map(|c| ((c + 1) << (bits - brick_bits)) - 1);
+        let bricks = Bricks::within(grid, brick_bits, [first, last], &triangles.triangles);
         let below = 3 * (bits - brick_bits);
-        let inside = bricks.range(cell.code << below, (cell.code + 1) << below);
+        let inside = 0..bricks.len();
         let finish = |code: u32, fragments, members: &[u32]| {
             let local = code & ((1 << below) - 1);
             Brick::new(local, brick_bits, fragments, members, &triangles, &self.appearance)
@@ -368,7 +470,7 @@ impl<'a> Maker<'a> {
 }
 
 impl Octree {
-    fn join(grid: RegionGrid, emits: bool, regions: Vec<Region>) -> Result<Self, BakeError> {
+    fn join(grid: RegionGrid, emits: bool, mut regions: Vec<Region>) -> Result<Self, BakeError> {
         let disagree =
             || BakeError::Disagreement("a brick of the octree does not fit its neighbours".to_owned());
         let depth = grid.grid.bits;
@@ -377,10 +479,20 @@ impl Octree {
         let coarse_levels = (bits + 1).saturating_sub(FINE_LEVELS) as usize;
         let planes = look_plane_count(emits);
         let mut coarse = vec![SvoLevel::default(); if coarse_levels == 0 { 0 } else { top + coarse_levels }];
-        for region in &regions {
-            let (mut shape, mut look) = (Reader(&region.shape.coarse), Reader(&region.look.coarse));
+        for (local, level) in coarse.iter_mut().skip(top).enumerate() {
+            let nodes = regions.iter().map(|region| region.counts[local] as usize).sum();
+            level.child_masks.reserve_exact(nodes);
+            level.coverages.reserve_exact(nodes);
+            level.colors.reserve_exact(nodes);
+            level.normals.reserve_exact(nodes);
+            level.cones.reserve_exact(nodes);
+            level.emissive.reserve_exact(if emits { nodes } else { 0 });
+        }
+        for region in &mut regions {
+            let bytes = std::mem::take(&mut region.coarse);
+            let [mut shape, mut look] = bytes.each_ref().map(|bytes| Reader(bytes));
             for local in 0..coarse_levels {
-                let nodes = region.look.counts[local] as usize;
+                let nodes = region.counts[local] as usize;
                 let take = |reader: &mut Reader<'_>, count: usize| -> Option<Vec<Vec<u8>>> {
                     (0..count).map(|_| reader.bytes(nodes).map(<[u8]>::to_vec)).collect()
                 };
@@ -397,7 +509,7 @@ impl Octree {
             *count = level.colors.len() as u64;
         }
         for region in &regions {
-            for (local, count) in region.look.counts.iter().enumerate().skip(coarse_levels) {
+            for (local, count) in region.counts.iter().enumerate().skip(coarse_levels) {
                 nodes[top + local] += u64::from(*count);
             }
         }
@@ -412,8 +524,13 @@ impl Octree {
         Ok(Self { grid, emits, regions, coarse, info })
     }
 
-    /// Appends the octree's levels: geometry of all levels first, then attributes, coarse levels first.
-    pub fn write<W: Write + Seek>(&self, writer: &mut ArchiveWriter<W>) -> Result<(), BakeError> {
+    /// Appends the octree's levels: geometry of all levels first, then attributes, coarse levels first. The bricks wait
+    /// in `spool`.
+    pub fn write<W: Write + Seek>(
+        &self,
+        writer: &mut ArchiveWriter<W>,
+        spool: &ChunkSpool,
+    ) -> Result<(), BakeError> {
         let depth = self.grid.grid.bits;
         let look_sections = [
             (name::SVO_COLORS, 0..3),
@@ -422,14 +539,14 @@ impl Octree {
             (name::SVO_EMISSIVE, 6..10),
         ];
         for level in 0..depth {
-            self.write_section(writer, name::SVO_MASKS, level, 0..1, false)?;
+            self.write_section(writer, spool, name::SVO_MASKS, level, 0..1, false)?;
         }
         for level in 0..=depth {
             if level < depth {
-                self.write_section(writer, name::SVO_COVERAGES, level, 1..2, false)?;
+                self.write_section(writer, spool, name::SVO_COVERAGES, level, 1..2, false)?;
             }
             for (section, planes) in &look_sections[..if self.emits { 4 } else { 3 }] {
-                self.write_section(writer, section, level, planes.clone(), true)?;
+                self.write_section(writer, spool, section, level, planes.clone(), true)?;
             }
         }
         Ok(())
@@ -439,6 +556,7 @@ impl Octree {
     fn write_section<W: Write + Seek>(
         &self,
         writer: &mut ArchiveWriter<W>,
+        spool: &ChunkSpool,
         section: &str,
         level: u32,
         planes: std::ops::Range<usize>,
@@ -454,12 +572,64 @@ impl Octree {
         let fine_level = level as usize - self.coarse.len();
         for plane in planes {
             for region in &self.regions {
-                let part = if is_look { &region.look } else { &region.shape };
-                for chunk in &part.fine[fine_level * per_level + plane] {
-                    writer.append(chunk)?;
+                let fine = &region.fine[usize::from(is_look)];
+                for chunk in &fine[fine_level * per_level + plane] {
+                    writer.append(spool.get(chunk)?.as_ref())?;
                 }
             }
         }
         Ok(())
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::bake::Silent;
+    use crate::generate::{SceneKind, generate};
+
+    /// An octree of 8 bricks in a file, made within these limits; and whether bricks waited on disk.
+    fn octree_bytes(bricks_bytes: u64, spool_bytes: u64) -> (Vec<u8>, bool) {
+        let scene = generate(SceneKind::Town, 2_000, 1);
+        let options = BakeOptions { levels: 9, rows: None, ..BakeOptions::default() };
+        let runs = Runs::new(&scene);
+        let (min, max) = runs.bounds().unwrap();
+        let cube = SceneCube::around(min.to_array(), max.to_array()).unwrap();
+        let grid = RegionGrid { cube, grid: Grid::new(options.levels) };
+        let cells = grid.cells(&scene, &runs).cells;
+        assert!(cells.len() > 2, "{}", cells.len());
+        let folder = tempfile::tempdir().unwrap();
+        let path = folder.path().join("out.mvb");
+        let mut writer = ArchiveWriter::create(&path).unwrap();
+        crate::sections::write_scene(&mut writer, &bytemuck::Zeroable::zeroed(), &[]).unwrap();
+        let spool = writer.spool(spool_bytes);
+        let job = OctreeJob {
+            scene: &scene,
+            runs: &runs,
+            options: &options,
+            grid,
+            cells: &cells,
+            costs: &grid.costs(&runs, &cells),
+            bricks_bytes,
+            spool: &spool,
+            device: None,
+            steps: &Steps::without_store(),
+            progress: &Silent,
+        };
+        job.run().unwrap().write(&mut writer, &spool).unwrap();
+        writer.finish().unwrap();
+        let is_on_disk = spool.is_on_disk();
+        drop(spool);
+        assert_eq!(fs_err::read_dir(folder.path()).unwrap().count(), 1, "the archive alone is left");
+        (fs_err::read(&path).unwrap(), is_on_disk)
+    }
+
+    #[test]
+    fn bricks_one_by_one_and_on_disk_give_the_same_bytes() {
+        let (usual, is_on_disk) = octree_bytes(1 << 40, 1 << 40);
+        assert!(!is_on_disk);
+        let (little, is_on_disk) = octree_bytes(0, 0);
+        assert!(is_on_disk);
+        assert!(usual == little);
     }
 }

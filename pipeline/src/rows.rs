@@ -23,6 +23,7 @@ use manyview_shaders::directions::{DirectionFrame, DirectionSet, Fit, RowLattice
 use manyview_shaders::raster::{Grid, Raster, VoxelBox};
 use manyview_shaders::rotate::{SpreadPoints, rotate_points};
 use manyview_shaders::sections::RowsInfo;
+use std::borrow::Cow;
 
 /// How rows are voxelized.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
@@ -104,7 +105,7 @@ pub struct RowsPlan<'a> {
     lattice: RowLattice,
     triangles: &'a LatticeTriangles,
     cutouts: &'a Cutouts,
-    points: Vec<[i16; 3]>,
+    points: Cow<'a, [[i16; 3]]>,
     spread: SpreadPoints,
     /// One frame per direction.
     pub frames: Vec<DirectionFrame>,
@@ -136,7 +137,7 @@ impl<'a> RowsPlan<'a> {
             RowsFrom::Points => surface,
             RowsFrom::Rotate => rotated_centers(options, &lattice, triangles, cutouts),
         };
-        Self::with_frames(options, lattice, triangles, cutouts, points, frames)
+        Self::with_frames(options, lattice, triangles, cutouts, points.into(), frames)
     }
 
     /// Takes the points that are rotated (none for [`RowsFrom::Peel`]) and the frames of all directions. Only
@@ -146,7 +147,7 @@ impl<'a> RowsPlan<'a> {
         lattice: RowLattice,
         triangles: &'a LatticeTriangles,
         cutouts: &'a Cutouts,
-        points: Vec<[i16; 3]>,
+        points: Cow<'a, [[i16; 3]]>,
         frames: Vec<DirectionFrame>,
     ) -> Self {
         let spread = SpreadPoints::new(&points);
@@ -296,7 +297,7 @@ mod tests {
         let fast = plan.block(&plan.frames);
         let mut plain = vec![0u32; fast.len()];
         for (d, frame) in plan.frames.iter().enumerate() {
-            for &p in &plan.points {
+            for &p in plan.points() {
                 let [u, v, w] = frame.voxel(p, 5);
                 plain[d * 1024 + (v * 32 + u) as usize] |= 1 << w;
             }

@@ -374,7 +374,7 @@ mod tests {
             let (triangles, cutouts) = (LatticeTriangles::default(), Cutouts::default());
             let plan = |points: &[[i16; 3]]| {
                 let frames = fit_frames(options, &lattice, &coarse_boxes(points));
-                RowsPlan::with_frames(options, lattice, &triangles, &cutouts, points.to_vec(), frames)
+                RowsPlan::with_frames(options, lattice, &triangles, &cutouts, points.to_vec().into(), frames)
             };
             let (old_plan, new_plan) = (plan(&old), plan(&new));
             let old_chunk = old_plan.compress(&old_plan.block(&old_plan.frames));

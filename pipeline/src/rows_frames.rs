@@ -14,10 +14,16 @@ type Box3 = [[i16; 3]; 2];
 
 /// The frame of every direction, fitted to boxes around the surface ([`crate::points::coarse_boxes`]).
 pub fn fit_frames(options: RowsOptions, lattice: &RowLattice, boxes: &[Box3]) -> Vec<DirectionFrame> {
-    (0..options.directions.count()).into_par_iter().map(|d| fit(options, lattice, boxes, d)).collect()
+    (0..options.directions.count()).into_par_iter().map(|d| fit_frame(options, lattice, boxes, d)).collect()
 }
 
-fn fit(options: RowsOptions, lattice: &RowLattice, boxes: &[Box3], direction: u32) -> DirectionFrame {
+/// The frame of one direction.
+pub(crate) fn fit_frame(
+    options: RowsOptions,
+    lattice: &RowLattice,
+    boxes: &[Box3],
+    direction: u32,
+) -> DirectionFrame {
     let axes = match options.fit {
         Fit::Cube => options.directions.frame(direction),
         Fit::Extent => rolled_to_fit(options.directions.frame(direction), lattice, boxes),
@@ -62,7 +68,7 @@ pub(crate) fn refit_frames(
         .zip(old_frames)
         .map(|(d, old)| {
             let is_kept = !outer.is_empty() && (changed.is_empty() || keeps(d));
-            if is_kept { *old } else { fit(options, lattice, boxes, d) }
+            if is_kept { *old } else { fit_frame(options, lattice, boxes, d) }
         })
         .collect()
 }

@@ -24,6 +24,7 @@ use manyview_shaders::device::VoxelDevice;
 use manyview_shaders::directions::{DirectionFrame, DirectionSet, Fit, RowLattice};
 use manyview_shaders::sections::name;
 use rayon::prelude::*;
+use std::borrow::Cow;
 use std::io::{Seek, Write};
 use std::sync::Arc;
 
@@ -306,11 +307,16 @@ pub struct RowsRun<'a> {
 
 impl RowsRun<'_> {
     /// Finds or makes all blocks and appends the sections `rows.frames` and `rows.bits`; `head` has gone before.
-    pub fn write<W: Write + Seek + Send>(&self, writer: &mut ArchiveWriter<W>) -> Result<u64, BakeError> {
+    /// `most_packs` are made at the same time.
+    pub fn write<W: Write + Seek + Send>(
+        &self,
+        writer: &mut ArchiveWriter<W>,
+        most_packs: usize,
+    ) -> Result<u64, BakeError> {
         let (job, prepared) = (self.job, &self.prepared);
         let empty = (LatticeTriangles::default(), Cutouts::default());
         let (triangles, cutouts) = if job.options.from == RowsFrom::Peel { job.triangles() } else { empty };
-        let points = prepared.points(job.options.from).to_vec();
+        let points = Cow::Borrowed(prepared.points(job.options.from));
         let frames = prepared.frames.clone();
         let plan = RowsPlan::with_frames(job.options, job.lattice, &triangles, &cutouts, points, frames);
         writer.begin_section(name::ROWS_FRAMES, 0)?;
@@ -327,7 +333,7 @@ impl RowsRun<'_> {
                 key: job.pack_key(&prepared.last.input, frames),
             })
             .collect();
-        let wave = if job.device.is_some() { 1 } else { rayon::current_num_threads() };
+        let wave = if job.device.is_some() { 1 } else { rayon::current_num_threads().min(most_packs) };
         let make = |packs: &[Pack<'_>]| -> Result<Vec<Vec<CompressedChunk>>, BakeError> {
             let make = |pack: &Pack<'_>, waits| self.make(pack, &plan, block_directions, waits);
             let mut results: Vec<Option<Vec<CompressedChunk>>> =

@@ -1,7 +1,7 @@
 //! One bake from a scene file to an archive file: what the command line and build scripts call.
 
 use crate::bake::{BakeError, BakeOptions, BakeReport, Placement, Progress, Silent, bake_placed};
-use crate::estimate::Estimate;
+use crate::estimate::{Estimate, Plan};
 use crate::explain::{Step, explain};
 use crate::generate::generate;
 use crate::import::{ImportError, ImportOptions, SourceFile, import};
@@ -173,7 +173,8 @@ impl Bake {
             files.iter().try_for_each(|file| self.spare(file))?;
             let import_seconds = clock.elapsed().as_secs_f64();
             steps.count(StepKind::Import, 0, 1, 0);
-            let placement = Placement::new(&scene, &self.options).map_err(|e| self.failed(e))?;
+            let mut placement = Placement::new(&scene, &self.options).map_err(|e| self.failed(e))?;
+            placement.read_bytes = file_bytes(&files);
             let report =
                 bake_placed(&scene, &self.options, &placement, device, &steps, &mut writer, progress)
                     .map_err(|e| self.failed(e))?;
@@ -286,9 +287,11 @@ impl Bake {
     pub fn estimate(&self) -> Result<(Estimate, Vec<String>), RunError> {
         self.in_pool(|| {
             self.options.check().map_err(|e| self.failed(e))?;
-            let (scene, _) = self.load()?;
+            let (scene, sources) = self.load()?;
+            let files = self.paths(sources.iter().map(|file| file.path.as_str()));
             let placement = Placement::new(&scene, &self.options).map_err(|e| self.failed(e))?;
-            Ok((Estimate::new(&scene, &self.options, placement.cube), scene.warnings))
+            let plan = Plan::new(&scene, &self.options, &placement.runs, placement.cube, file_bytes(&files));
+            Ok((plan.estimate, scene.warnings))
         })
     }
 
@@ -331,6 +334,11 @@ impl Bake {
             .map_err(|e| RunError::Threads { jobs, reason: e.to_string() })?;
         pool.install(work)
     }
+}
+
+/// The size of some files; those that are missing have none.
+fn file_bytes(files: &[PathBuf]) -> u64 {
+    files.iter().filter_map(|file| fs_err::metadata(file).ok()).map(|metadata| metadata.len()).sum()
 }
 
 /// Whether two paths lead to one file.

@@ -29,6 +29,11 @@ pub struct Run {
     pub triangles: Range<u32>,
     /// World bounds of the triangles: smallest and largest corner, metres.
     pub bounds: [DVec3; 2],
+    /// Square metres of surface that fill a voxel each, if voxels had an edge of a metre: of a triangle, what it shows
+    /// to the axis that it faces most, and half of what it shows to the others.
+    pub surface: f64,
+    /// Square metres that the triangles show to each axis. What alpha cuts away is left out of both.
+    pub facing: [f64; 3],
     /// Identity of the mesh's part, wherever it is placed.
     pub mesh: Digest,
     /// Identity of the shape.
@@ -42,6 +47,18 @@ pub struct Run {
 pub struct Runs {
     /// The runs.
     pub runs: Vec<Run>,
+}
+
+impl Run {
+    /// About how many voxels of this edge (metres) the run fills: as many as it has surface, fewer where it has more
+    /// surface than there is room for in its bounds, as foliage in large voxels.
+    pub fn voxels(&self, edge: f64) -> f64 {
+        let size = (self.bounds[1] - self.bounds[0]) / edge + DVec3::splat(2.0);
+        let (surface, room) = (self.surface / (edge * edge), size.element_product());
+        // What falls into random voxels of the room.
+        let filled = room * -(-surface / room).exp_m1();
+        if filled.is_finite() { filled } else { surface.min(room) }
+    }
 }
 
 impl Runs {
@@ -58,6 +75,7 @@ impl Runs {
             .zip(&drawn)
             .map(|(mesh, drawn)| if *drawn { mesh_digests(scene, mesh, &textures) } else { Vec::new() })
             .collect();
+        let covers = coverages(scene, &drawn);
         let runs = scene
             .instances
             .par_iter()
@@ -66,6 +84,7 @@ impl Runs {
                 let mesh = &scene.meshes[instance.mesh as usize];
                 let transform = instance.world_from_object;
                 let digests = &digests[instance.mesh as usize];
+                let covers = covers[instance.mesh as usize];
                 (0..).step_by(RUN_TRIANGLES).zip(mesh.triangles.chunks(RUN_TRIANGLES)).zip(digests).map(
                     move |((first, triangles), digests)| {
                         let [shape, look] = digests.map(|digest| {
@@ -75,12 +94,23 @@ impl Runs {
                             key.finish()
                         });
                         let mut bounds = [DVec3::INFINITY, DVec3::NEG_INFINITY];
-                        for vertex in triangles.iter().flatten() {
-                            let p = transform.transform_point3(mesh.positions[*vertex as usize].as_dvec3());
-                            bounds = [bounds[0].min(p), bounds[1].max(p)];
+                        let (mut surface, mut facing) = (0.0, DVec3::ZERO);
+                        for triangle in triangles {
+                            let p = triangle.map(|vertex| {
+                                transform.transform_point3(mesh.positions[vertex as usize].as_dvec3())
+                            });
+                            bounds = p.iter().fold(bounds, |[lo, hi], p| [lo.min(*p), hi.max(*p)]);
+                            let n = ((p[1] - p[0]).cross(p[2] - p[0]) * 0.5).abs();
+                            // The axis that a plane faces most finds a voxel per pixel, the others new ones for up to
+                            // half of theirs.
+                            surface += n.max_element() + (n.element_sum() - n.max_element()) * 0.5;
+                            facing += n;
                         }
                         let triangles = first..first + triangles.len() as u32;
-                        Run { instance: index as u32, triangles, bounds, mesh: digests[0], shape, look }
+                        let mesh = digests[0];
+                        let (instance, facing) = (index as u32, (facing * covers).to_array());
+                        let surface = surface * covers;
+                        Run { instance, triangles, bounds, surface, facing, mesh, shape, look }
                     },
                 )
             })
@@ -103,6 +133,28 @@ impl Runs {
         shapes.iter().for_each(|shape| _ = key.digest(shape));
         key.finish()
     }
+}
+
+/// About which share of each mesh alpha leaves: that of its texture's texels.
+fn coverages(scene: &Scene, drawn: &[bool]) -> Vec<f64> {
+    let mut known = std::collections::BTreeMap::new();
+    let of_mesh = |(mesh, drawn): (&Mesh, &bool)| {
+        let material = material_of(scene, mesh);
+        let (Some(cutoff), Some(texture), true) =
+            (material.alpha_mode.cutoff(), material.base_color_texture, *drawn)
+        else {
+            return 1.0;
+        };
+        let threshold = cutoff / material.base_color.w.max(f32::MIN_POSITIVE);
+        *known.entry((texture, threshold.to_bits())).or_insert_with(|| {
+            let texels = &scene.textures[texture as usize].texels;
+            // One in 16 is enough for a share.
+            let some = || texels.iter().step_by(if texels.len() > 1 << 16 { 17 } else { 1 });
+            let left = some().filter(|texel| f32::from(texel[3]) >= threshold * 255.0).count();
+            left as f64 / some().count().max(1) as f64
+        })
+    };
+    scene.meshes.iter().zip(drawn).map(of_mesh).collect()
 }
 
 /// Digests of the textures in use: of their alpha, and of all of them.

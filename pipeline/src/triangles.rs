@@ -49,6 +49,17 @@ impl LatticeTriangles {
         pieces: &[(u32, Range<u32>)],
         snap: impl Fn(DVec3) -> [i16; 3] + Sync,
     ) -> Self {
+        Self::of_pieces_where(scene, cutouts, pieces, snap, |_| true)
+    }
+
+    /// As [`of_pieces`](Self::of_pieces), of those snapped triangles that `is_wanted`.
+    pub fn of_pieces_where(
+        scene: &Scene,
+        cutouts: &Cutouts,
+        pieces: &[(u32, Range<u32>)],
+        snap: impl Fn(DVec3) -> [i16; 3] + Sync,
+        is_wanted: impl Fn(&[[i16; 3]; 3]) -> bool + Sync,
+    ) -> Self {
         let parts: Vec<Self> = pieces
             .par_iter()
             .map(|(index, triangles)| {
@@ -72,11 +83,15 @@ impl LatticeTriangles {
                         continue;
                     }
                     let triangle = mesh.triangles[t as usize];
-                    part.triangles.push(if lattice.is_empty() {
+                    let triangle = if lattice.is_empty() {
                         triangle.map(snapped)
                     } else {
                         triangle.map(|v| lattice[v as usize])
-                    });
+                    };
+                    if !is_wanted(&triangle) {
+                        continue;
+                    }
+                    part.triangles.push(triangle);
                     part.sources.push(TriangleRef { instance: *index, triangle: t });
                     if !cutouts.masks.is_empty() {
                         part.mask_of.push(if let Cut::Masked(mask) = mask { mask } else { UNMASKED });
@@ -155,6 +170,15 @@ impl Cutouts {
     /// material's alpha and the mean of its vertex alphas.
     pub fn new(scene: &Scene) -> Self {
         Self::of_meshes(scene, |_| true)
+    }
+
+    /// Whether alpha cuts away every drawn triangle.
+    pub fn leaves_nothing(&self, scene: &Scene) -> bool {
+        scene.instances.iter().all(|instance| {
+            let cuts = &self.mask_of[instance.mesh as usize];
+            let is_empty = scene.meshes[instance.mesh as usize].triangles.is_empty();
+            is_empty || (!cuts.is_empty() && cuts.iter().all(|cut| *cut == Cut::Away))
+        })
     }
 
     /// As [`new`](Self::new), for those meshes that `is_wanted` tells by their index; the others must not be asked for.

@@ -1,5 +1,7 @@
 //! `manyview bench`.
 
+mod bakes;
+
 use glam::Vec3;
 use manyview::bench::tables::{
     self, DynamicSettings, NamedRenderer, OurMethods, Renderers, TableSettings, ViewKind, ViewSubject,
@@ -74,6 +76,18 @@ pub(crate) struct Args {
     /// The table of views: a method is left out where it would presumably take longer than this
     #[arg(long, value_name = "SECONDS", default_value_t = 60.0)]
     most_seconds: f64,
+    /// Estimates: levels of the octrees
+    #[arg(long, value_name = "L,…", value_delimiter = ',', default_value = "8,9,11,13", value_parser = clap::value_parser!(u32).range(1..=13))]
+    bake_levels: Vec<u32>,
+    /// Estimates: steps of both angles of the directions
+    #[arg(long, value_name = "N", default_value_t = 90, value_parser = clap::value_parser!(u32).range(2..=90))]
+    bake_directions: u32,
+    /// Estimates and growth: most memory of each bake
+    #[arg(long, value_name = "SIZE", default_value = "4GiB", value_parser = super::bake::memory_size)]
+    max_memory: u64,
+    /// Growth: most triangles, up to 50 million
+    #[arg(long, value_name = "N", default_value_t = 1_000_000)]
+    most_triangles: u64,
     /// The table of views: levels of the octree, compared with 8
     #[arg(long, value_name = "L", default_value_t = 11, value_parser = clap::value_parser!(u32).range(9..=12))]
     levels: u32,
@@ -116,6 +130,10 @@ pub(crate) enum TableName {
     /// Methods that draw many views: time and memory against views and texels, agreement with exact casts, levels of the
     /// octree, culling
     Views,
+    /// Bakes: estimates of time, memory and size beside what is measured
+    Estimates,
+    /// Bakes: time and memory against triangles, levels, directions, rows and threads
+    Growth,
     /// ManyLoDs: maps of many lights, from the root and from the last frame's cuts
     Manylods,
 }
@@ -187,6 +205,25 @@ pub(crate) fn run(
             let scene = BenchScene::load(source)?;
             for table in rows::run(&scene, &variants, &settings, progress)? {
                 done(&table)?;
+            }
+        }
+    }
+    if wanted(TableName::Estimates) || wanted(TableName::Growth) {
+        let mut done = |mut table: Table| {
+            table.run = Some(RunInfo::gather(command_line(), None));
+            done(&table)
+        };
+        let bakes = bakes::Bakes::new(args.max_memory)?;
+        let mut measure = |case: &tables::BakeCase| {
+            if progress.cancelled() { Err(BenchError::Cancelled) } else { bakes.measure(case) }
+        };
+        if wanted(TableName::Estimates) {
+            let scenes = scenes_or(&bakes::SCENES);
+            done(tables::bake_estimates(&scenes, &args.bake_levels, args.bake_directions, &mut measure)?)?;
+        }
+        if wanted(TableName::Growth) {
+            for growth in bakes::growths(args.most_triangles) {
+                done(tables::bake_growth(&growth, &mut measure)?)?;
             }
         }
     }

@@ -139,11 +139,13 @@ impl bake::Progress for Progress {
 /// An estimate in one line.
 pub(crate) fn estimate_line(estimate: &Estimate) -> String {
     format!(
-        "{} triangles, about {} voxels, {} of rows before compression; memory about {}",
+        "{} triangles, about {} voxels, {} of rows before compression; about {:.1} s, memory {}, archive {}",
         count(estimate.triangles),
         count(estimate.leaves),
         bytes(estimate.rows_raw_bytes),
-        bytes(estimate.peak_bytes)
+        estimate.seconds,
+        bytes(estimate.peak_bytes),
+        bytes(estimate.archive_bytes)
     )
 }
 
@@ -153,7 +155,11 @@ pub(crate) fn estimate_event(estimate: &Estimate) -> serde_json::Value {
         "event": "estimate",
         "triangles": estimate.triangles,
         "leaves": estimate.leaves,
+        "points": estimate.points,
         "rows_raw_bytes": estimate.rows_raw_bytes,
+        "archive_bytes": estimate.archive_bytes,
         "peak_bytes": estimate.peak_bytes,
+        "least_bytes": estimate.least_bytes,
+        "seconds": estimate.seconds,
     })
 }

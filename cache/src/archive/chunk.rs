@@ -108,6 +108,18 @@ impl CompressedChunk {
         Self { stored, raw_bytes, codec: Codec::Rows, raw_digest, stored_digest, tile_digests }
     }
 
+    /// A chunk whose stored bytes were put aside; without its tiles' parts of the digest.
+    pub(super) fn of_stored(
+        stored: Vec<u8>,
+        raw_bytes: u32,
+        codec: Codec,
+        raw_digest: Digest,
+        stored_digest: Digest,
+    ) -> Self {
+        let stored = stored.into_boxed_slice();
+        Self { stored, raw_bytes, codec, raw_digest, stored_digest, tile_digests: Vec::new() }
+    }
+
     /// The tiles' parts of the content's digest; none of chunks that are not in tiles.
     pub(super) fn tile_digests(&self) -> &[ChainingValue] {
         &self.tile_digests

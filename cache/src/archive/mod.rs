@@ -7,6 +7,7 @@ mod reader;
 pub mod row_code;
 pub mod row_model;
 mod source;
+mod spool;
 pub mod tiles;
 mod verify;
 mod writer;
@@ -23,6 +24,7 @@ pub use format::{
 pub use reader::Archive;
 pub use row_code::TILE_BYTES;
 pub use source::ByteSource;
+pub use spool::{ChunkSpool, SpooledChunk};
 pub use tiles::TileEditor;
 pub use verify::VerifyReport;
 pub use writer::{ArchiveStats, ArchiveWriter, DEFAULT_LEVEL};

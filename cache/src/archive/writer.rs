@@ -2,7 +2,7 @@
 
 use std::collections::BTreeSet;
 use std::io::{Cursor, Seek, SeekFrom, Write};
-use std::path::Path;
+use std::path::{Path, PathBuf};
 
 use super::chunk::CompressedChunk;
 use super::error::{ArchiveError, ArchiveErrorKind, write_error};
@@ -10,6 +10,7 @@ use super::format::{
     ALIGNMENT, HEADER_BYTES, Header, Index, MAX_CHUNK_BYTES, Section, SectionId, SectionName, aligned,
     section_digest,
 };
+use super::spool::ChunkSpool;
 use crate::atomic::AtomicFile;
 use crate::digest::Digest;
 
@@ -43,6 +44,8 @@ pub struct ArchiveWriter<W = AtomicFile> {
     sink: W,
     /// For messages.
     name: String,
+    /// Where the archive will be, if it is a file.
+    output: Option<PathBuf>,
     level: i32,
     /// Where the next byte goes.
     position: u64,
@@ -56,7 +59,9 @@ impl ArchiveWriter<AtomicFile> {
     /// Starts an archive at `path`, whose folder must exist.
     pub fn create(path: impl AsRef<Path>) -> Result<Self, ArchiveError> {
         let path = path.as_ref();
-        Self::new(AtomicFile::create(path)?, path.display().to_string())
+        let mut writer = Self::new(AtomicFile::create(path)?, path.display().to_string())?;
+        writer.output = Some(path.to_owned());
+        Ok(writer)
     }
 
     /// Completes the archive and puts it in place of the old file.
@@ -85,6 +90,7 @@ impl<W: Write + Seek> ArchiveWriter<W> {
         let mut writer = Self {
             sink,
             name,
+            output: None,
             level: DEFAULT_LEVEL,
             position: 0,
             index: Index { sections: Vec::new(), chunks: Vec::new() },
@@ -101,6 +107,12 @@ impl<W: Write + Seek> ArchiveWriter<W> {
     pub fn with_level(mut self, level: i32) -> Self {
         self.level = level;
         self
+    }
+
+    /// Somewhere to keep chunks until their place comes: up to `limit_bytes` in memory, the others on disk beside the
+    /// archive. An archive in memory has no disk.
+    pub fn spool(&self, limit_bytes: u64) -> ChunkSpool {
+        ChunkSpool::new(self.output.clone(), limit_bytes)
     }
 
     /// Starts a section; what is appended next belongs to it. Sections stay in the order of writing, and no two have

@@ -80,6 +80,13 @@ pub(super) fn look_planes(level: &SvoLevel, emits: bool) -> Vec<Vec<u8>> {
     all
 }
 
+/// All byte planes of a level.
+pub(crate) fn byte_planes(level: &SvoLevel) -> Vec<Vec<u8>> {
+    let mut all = look_planes(level, !level.emissive.is_empty());
+    all.extend(shape_planes(level));
+    all
+}
+
 /// A level from its byte planes.
 pub(super) fn level_of(shape: &[Vec<u8>], look: &[Vec<u8>]) -> Option<SvoLevel> {
     let nodes = look.first()?.len();

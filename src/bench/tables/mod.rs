@@ -20,6 +20,7 @@
 //! Where that would take too long, receivers are thinned out evenly, for all methods alike.
 
 mod actors;
+mod bakes;
 mod dynamic;
 mod errors;
 mod images;
@@ -31,6 +32,7 @@ mod view_measure;
 mod view_work;
 mod views;
 
+pub use bakes::{BakeCase, BakeCost, Growth, MeasureBake, MeasuredBake, bake_estimates, bake_growth};
 pub use dynamic::{DynamicSettings, deforming_rows, dynamic};
 pub use errors::Errors;
 pub use images::{directions, lights, resolution, scenes, throughput};
