@@ -8,7 +8,7 @@
 //!
 //! # Practice
 //! Everything follows from counts: triangles, their surface in voxels, the bricks that they reach into, texels. The
-//! factors are measured (`manyview bench bake` compares them with what happens).
+//! factors are measured (`manyview bench estimates` compares them with what happens).
 
 use crate::bake::BakeOptions;
 use crate::cube::SceneCube;

@@ -129,7 +129,7 @@ fn stat_counts_what_is_there() {
         stat["buckets"].as_array().unwrap().iter().map(|b| b["bucket"].as_str().unwrap()).collect();
     assert_eq!(
         names,
-        ["bakes-v1", "brick-looks-v1", "brick-shapes-v1", "frames-v1", "latest-v1", "points-v1", "rows-v1"]
+        ["bakes-v1", "brick-looks-v1", "brick-shapes-v1", "frames-v1", "latest-v1", "points-v1", "rows-v2"]
     );
     let files = bakes.work.names().iter().filter(|name| name.contains("-v1/")).count() as u64;
     assert_eq!(stat["entries"].as_u64(), Some(files));

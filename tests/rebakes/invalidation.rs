@@ -263,9 +263,9 @@ fn no_cache_keeps_nothing_and_the_cache_is_where_it_is_said() {
     run(&[], "");
     assert_eq!(work.names(), ["out.mvb", "scene.glb"]);
     run(&[], "by variable");
-    assert!(work.path("by variable/rows-v1").is_dir());
+    assert!(work.path("by variable/rows-v2").is_dir());
     run(&["--cache", "by option"], "by variable");
-    assert!(work.path("by option/rows-v1").is_dir());
+    assert!(work.path("by option/rows-v2").is_dir());
     let path = work.run(["cache", "path", "--cache", "by option"]).succeeded();
     assert_eq!(path.stdout.trim(), "by option");
 }

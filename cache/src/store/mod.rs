@@ -7,7 +7,7 @@
 //! ```text
 //! ~/.cache/manyview/
 //! ├── CACHEDIR.TAG                      backup programs leave this folder out
-//! ├── rows-v1/
+//! ├── rows-v2/
 //! │   ├── 3c/
 //! │   │   └── 3c0f…(64 digits)          one value: header, content
 //! │   └── e1/
