@@ -12,11 +12,12 @@
 //! | §3.2 image | [`manyview_shaders::paraboloid`] |
 //! | §3.3 traversal | `traverse.rs` (CPU), tests in [`manyview_shaders::views`] |
 //! | §3.3 near geometry | [`crate::views::splat`] |
-//! | §3.4 fusion | [`crate::views::splat::TexelDirections::fuse`] |
+//! | §3.4 fusion, unfused queries | [`crate::views::splat::TexelDirections::fuse`], [`UnfusedMaps`] |
 //! | §3.5 multi-pass | [`MegaViews`]: runs of the hierarchy's leaves |
 
 pub mod gpu;
 mod traverse;
+mod unfused;
 pub mod view_tree;
 
 use crate::simd::SimdLevel;
@@ -25,12 +26,14 @@ use crate::views::{Depths, PassSink, View, ViewError, ViewMaps, ViewRenderer, Vi
 use half::f16;
 use manyview_shaders::paraboloid::texel_count;
 use manyview_shaders::scene_tree::{NodeRef, SceneTree};
+use std::ops::Range;
 use std::sync::Arc;
 use std::sync::atomic::Ordering;
 use std::time::Instant;
 use traverse::{Counters, DepthsMut, Output, Traversal};
 use view_tree::{SortedViews, ViewTree};
 
+pub use unfused::UnfusedMaps;
 pub use view_tree::Sharing;
 
 /// Bytes that a view takes beside its map: key, order, its share of the hierarchy while that is built.
@@ -195,22 +198,34 @@ fn leaves_per_pass(views: usize, settings: &ViewSettings) -> Result<usize, ViewE
 }
 
 impl MegaViews {
-    /// The maps of a run of the hierarchy's leaves, of which the first is number `first`.
-    fn pass(&self, frame: &Frame<'_>, leaves: &[u32], first: usize) -> ViewMaps {
-        let Frame { tree, order, settings, texels, counters } = *frame;
-        let count = leaves.len() * texel_count(settings.resolution);
-        let mut nodes = vec![u32::MAX; if settings.with_colors { count } else { 0 }];
-        let traversal = Traversal {
+    fn traversal<'a>(
+        &'a self,
+        views: &'a ViewTree,
+        settings: &ViewSettings,
+        texels: &'a TexelDirections,
+        counters: &'a Counters,
+        leaves: Range<usize>,
+    ) -> Traversal<'a> {
+        Traversal {
             scene: &self.scene,
-            views: tree,
+            views,
             texels,
             scale: settings.scale(),
             culling: settings.culling,
             with_nodes: settings.with_colors,
             simd: self.simd,
-            leaves: first..first + leaves.len(),
+            leaves,
             counters,
-        };
+        }
+    }
+
+    /// The maps of a run of the hierarchy's leaves, of which the first is number `first`.
+    fn pass(&self, frame: &Frame<'_>, leaves: &[u32], first: usize) -> ViewMaps {
+        let Frame { tree, order, settings, texels, counters } = *frame;
+        let count = leaves.len() * texel_count(settings.resolution);
+        let mut nodes = vec![u32::MAX; if settings.with_colors { count } else { 0 }];
+        let run = first..first + leaves.len();
+        let traversal = self.traversal(tree, settings, texels, counters, run);
         let depths = if settings.half_depths {
             let mut depths = vec![f16::ZERO; count];
             traversal.run(Output { depths: DepthsMut::Half(&mut depths), nodes: &mut nodes });

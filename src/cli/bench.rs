@@ -127,8 +127,8 @@ pub(crate) enum TableName {
     /// Table VI: rays a second against triangles, 100 thousand to 10 million
     #[value(alias = "VI")]
     Throughput,
-    /// Methods that draw many views: time and memory against views and texels, agreement with exact casts, levels of the
-    /// octree, culling
+    /// Methods that draw many views: time and memory against views and texels, queries without fusion, agreement with
+    /// exact casts, levels of the octree, culling
     Views,
     /// Bakes: estimates of time, memory and size beside what is measured
     Estimates,
@@ -331,6 +331,7 @@ fn views(
     let counts = if counts.is_empty() { vec![args.views] } else { counts };
     done(tables::view_growth(&fine, &kinds, &counts, &made, &settings, progress)?)?;
     done(tables::view_work(&fine, &kinds, &counts, &settings, progress)?)?;
+    done(tables::view_queries(&fine, &kinds, &counts, &settings, progress)?)?;
     let compared = COMPARED_VIEWS.min(args.views);
     done(tables::view_agreement(&fine, &kinds, compared, &[16, 64], &made, &settings, progress)?)?;
     let [bounced, ..] = &kinds;

@@ -322,3 +322,35 @@ fn odd_views_have_defined_maps() {
     let error = MegaViews::new(Arc::new(uncolored)).render_views(&same, &colors).unwrap_err();
     assert!(matches!(error, ViewError::Unsupported { .. }));
 }
+
+/// Unfused queries are fused maps, bit for bit.
+#[test]
+fn queries_without_fusion_see_what_fused_maps_show() {
+    let scene = scattered(7, 3000, 3);
+    let mut views = random_views(300, 3000, 1.2, 4);
+    views[17].position[1] = f32::NAN;
+    // Some in one voxel.
+    views[40].position = views[41].position;
+    let settings = ViewSettings::default();
+    for sharing in [Sharing::Voxel, Sharing::None, Sharing::Alone] {
+        let fused = draw(&scene, sharing, &views, &settings);
+        let renderer = MegaViews::new(Arc::new(scene.clone())).with_sharing(sharing);
+        let unfused = renderer.render_unfused(&views, &settings).unwrap();
+        assert!(unfused.bytes() > 2048 * fused.centers().len() as u64, "inner maps too");
+        for view in 0..views.len() {
+            let queried: Vec<f32> = (0..512).map(|texel| unfused.depth(view, texel)).collect();
+            assert_eq!(queried, fused.view_depths(view), "{sharing:?}, view {view}");
+        }
+    }
+}
+
+#[test]
+fn maps_of_all_nodes_must_fit() {
+    let renderer = MegaViews::new(Arc::new(room(5)));
+    let views = random_views(100, 7000, PI, 2);
+    let error =
+        renderer.render_unfused(&views, &ViewSettings { budget_bytes: 1 << 17, ..ViewSettings::default() });
+    assert!(error.unwrap_err().to_string().contains("the maps of all nodes"));
+    assert_eq!(renderer.render_unfused(&[], &ViewSettings::default()).unwrap().bytes(), 0);
+    assert!(renderer.render_unfused(&views, &ViewSettings::new(12)).is_err());
+}

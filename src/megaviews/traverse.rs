@@ -23,6 +23,7 @@ use manyview_shaders::scene_tree::{NodeRef, SPHERE_OF_CUBE, SceneTree};
 use manyview_shaders::views::{PARALLAX, ViewNode, splits_views};
 use rayon::prelude::*;
 use std::ops::Range;
+use std::sync::OnceLock;
 use std::sync::atomic::{AtomicU64, Ordering};
 use std::time::Instant;
 
@@ -78,6 +79,8 @@ pub(super) struct Output<'a> {
 pub(super) enum DepthsMut<'a> {
     Full(&'a mut [f32]),
     Half(&'a mut [f16]),
+    /// A place for the map of every node of the view hierarchy, as it was drawn.
+    Unfused(&'a [OnceLock<Box<[f32]>>]),
 }
 
 /// A view node on the way down.
@@ -184,8 +187,10 @@ impl Traversal<'_> {
         let clock = Instant::now();
         draw_node(self.simd, self, node, inherited, &mut level, &mut scratch.queue);
         let drawn = clock.elapsed();
-        if let Some(parent) = parent {
-            self.fuse(node, parent, &mut level);
+        match (&output.depths, parent) {
+            (DepthsMut::Unfused(maps), _) => _ = maps[index].set(level.depths.as_slice().into()),
+            (_, Some(parent)) => self.fuse(node, parent, &mut level),
+            (_, None) => {}
         }
         let add = |counter: &AtomicU64, more: u64| _ = counter.fetch_add(more, Ordering::Relaxed);
         add(&self.counters.view_nodes, 1);
@@ -509,6 +514,7 @@ impl<'a> Output<'a> {
             DepthsMut::Half(depths) => {
                 half::slice::HalfFloatSliceExt::convert_from_f32_slice(depths, &level.depths);
             }
+            DepthsMut::Unfused(_) => {}
         }
         self.nodes.copy_from_slice(&level.nodes);
     }
@@ -525,6 +531,7 @@ impl<'a> Output<'a> {
                 DepthsMut::Half(rest) => {
                     DepthsMut::Half(rest.split_off_mut(..count).expect("room for every leaf"))
                 }
+                DepthsMut::Unfused(maps) => DepthsMut::Unfused(maps),
             };
             let count = count.min(nodes.len());
             let nodes = nodes.split_off_mut(..count).unwrap_or_default();

@@ -66,13 +66,18 @@ impl TexelDirections {
         let [x, y, z] = [0, 1, 2].map(|i| &self.directions[i][..count]);
         let parent = &parent[..count];
         for t in 0..count {
-            let depth = parent[t];
-            let [dx, dy, dz] = [x[t] * depth - offset[0], y[t] * depth - offset[1], z[t] * depth - offset[2]];
-            let moved = (dx * dx + dy * dy + dz * dz).sqrt();
-            // Where the parent shows nothing its depth is infinite, and so is this, or no number.
-            child[t] = if depth < f32::INFINITY && moved < child[t] { moved } else { child[t] };
+            let moved = moved_depth([x[t], y[t], z[t]], parent[t], offset);
+            child[t] = if moved < child[t] { moved } else { child[t] };
         }
     }
+}
+
+/// The distance from a child's middle of what its parent's map shows at `depth` in this direction; `offset` leads from the
+/// parent's middle to the child's. +infinity, or no number, where the parent shows nothing.
+#[inline(always)]
+pub(crate) fn moved_depth(direction: [f32; 3], depth: f32, offset: [f32; 3]) -> f32 {
+    let [x, y, z] = [0, 1, 2].map(|i| direction[i] * depth - offset[i]);
+    (x * x + y * y + z * z).sqrt()
 }
 
 /// A map that is drawn into: distances, and unless empty the number of the node that each is of.

@@ -11,8 +11,8 @@
 //! | 1 of \[ML\] | [`manylods()`] | time and lists of the maps of many lights |
 //! | 2 of \[ML\] | [`manylods_single`] | a tree of points, and its cut for one view |
 //!
-//! and, of methods that draw many views, [`view_growth`], [`view_agreement`], [`view_resolutions`], [`view_levels`] and
-//! [`view_culling`].
+//! and, of methods that draw many views, [`view_growth`], [`view_work`], [`view_queries`], [`view_agreement`],
+//! [`view_resolutions`], [`view_levels`] and [`view_culling`].
 //!
 //! # Practice
 //! Receivers are the surface points that a camera sees ([`Subject`]); every receiver is asked about every light, as a
@@ -29,6 +29,7 @@ mod measure;
 mod methods;
 mod subject;
 mod view_measure;
+mod view_queries;
 mod view_work;
 mod views;
 
@@ -41,6 +42,7 @@ pub use measure::{Measured, Measurement};
 pub use methods::{Method, MethodSource, OurMethods};
 pub use subject::Subject;
 pub use view_measure::Drawn;
+pub use view_queries::view_queries;
 pub use view_work::view_work;
 pub use views::{
     NamedRenderer, Renderers, ViewKind, ViewSubject, ViewTableSettings, view_agreement, view_culling,
