@@ -68,7 +68,10 @@ fn bakes_that_are_killed_at_any_moment_leave_a_sound_cache_and_the_next_goes_on(
         std::thread::sleep(Duration::from_millis(numbers.next() % 400));
         victim.kill().unwrap();
         victim.wait().unwrap();
-        verify(&work).succeeded();
+        // It may have been killed before it made a cache.
+        if work.path("cache").exists() {
+            verify(&work).succeeded();
+        }
         if numbers.next().is_multiple_of(5) {
             // Now and then one may end, and the next begins with nothing.
             let summary = finish(spawn(&work, "scene.glb", "out.mvb"));
