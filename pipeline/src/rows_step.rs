@@ -31,7 +31,7 @@ use std::sync::Arc;
 /// Versions of the steps: bumped when their results change.
 const FRAMES_VERSION: u32 = 1;
 const CENTERS_VERSION: u32 = 1;
-const ROWS_VERSION: u32 = 3;
+const ROWS_VERSION: u32 = 4;
 
 /// Blocks in one value of the store: enough that syncing files costs nothing, few enough that a killed bake loses
 /// little.
