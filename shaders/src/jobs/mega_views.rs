@@ -6,18 +6,21 @@
 //! A pass for which there was too little room says so and draws nothing that could be taken for a map: the run is drawn
 //! again in parts.
 
+mod recordings;
+
 use crate::constants::{SCAN_CHUNK, SORT_CHUNK};
 use crate::device::DeviceError;
 use crate::executor::{Binding, BufferId, Executor, Recording};
 use crate::mega_views::{
-    LevelParams, MOST_SHARED, MOST_TREE_LEVELS, PAIR_WHOLE, PassParams, SORT_DIGITS, ScanParams, SceneParams,
-    SortParams, ViewCone, counter, tree,
+    LevelParams, MOST_TREE_LEVELS, PAIR_WHOLE, PassParams, SORT_DIGITS, ScanParams, SceneParams, SortParams,
+    ViewCone, counter, tree,
 };
 use crate::paraboloid::texel_count;
 use crate::scene_tree::SceneTree;
 use crate::stages;
 use crate::views::ViewNode;
 use bytemuck::Pod;
+use recordings::{first_node, most_levels};
 use std::collections::BTreeMap;
 use std::time::{Duration, Instant};
 
@@ -400,120 +403,10 @@ impl<'a> MegaViewsDevice<'a> {
         self.executor.run(&whole)?;
         Ok(())
     }
-
-    fn record_hierarchy(&self, levels: usize) -> [(&'static str, Recording<'static>); 2] {
-        let [scene, pass, head, keys, ranges, sums, nodes, links, views, boxes] = self.bindings([
-            "scene parameters",
-            "pass parameters",
-            "view hierarchy",
-            "sorted keys",
-            "ranges",
-            "sums of chunks",
-            "view nodes",
-            "links",
-            "sorted views",
-            "boxes",
-        ]);
-        let arguments = self.kept("view hierarchy");
-        let at = |level: usize| (tree::ARGUMENTS + level * tree::LEVEL_ARGUMENTS) as u32;
-        let mut cut = Recording::new();
-        for level in 0..levels {
-            let bindings = [scene, pass, head, keys, ranges, sums];
-            cut.dispatch_indirect(&stages::tree_count, arguments, at(level), &bindings);
-            cut.dispatch(&stages::tree_scan, [1; 3], &[pass, head, sums]);
-            let bindings = [scene, pass, head, keys, sums, ranges, nodes, links];
-            cut.dispatch_indirect(&stages::tree_emit, arguments, at(level), &bindings);
-        }
-        let mut merge = Recording::new();
-        for level in (0..levels).rev() {
-            let bindings = [pass, self.levels[level].into(), head, views, nodes, boxes];
-            merge.dispatch_indirect(&stages::tree_merge, arguments, at(level) + 3, &bindings);
-        }
-        [("cut views", cut), ("merge views", merge)]
-    }
-
-    fn record_traversal(&self, steps: usize) -> [(&'static str, Recording<'static>); 3] {
-        let [scene, pass, head, links, places, nodes, counters, near, maps] = self.bindings([
-            "scene parameters",
-            "pass parameters",
-            "view hierarchy",
-            "scene nodes",
-            "scene places",
-            "view nodes",
-            "counters",
-            "near pairs",
-            "maps",
-        ]);
-        let mut queues: [Binding; 2] = self.bindings(["pairs", "queued pairs"]);
-        let arguments = self.kept("arguments");
-        let mut clear = Recording::new();
-        let of_nodes = tree::NODE_ARGUMENTS as u32;
-        clear.dispatch_indirect(
-            &stages::maps_clear,
-            self.kept("view hierarchy"),
-            of_nodes,
-            &[pass, head, maps],
-        );
-        let mut walk = Recording::new();
-        let prepare = [pass, head, counters, arguments.into()];
-        for _ in 0..steps {
-            walk.dispatch(&stages::pairs_prepare, [1; 3], &prepare);
-            let bindings = [scene, pass, links, places, nodes, queues[0], counters, queues[1], near, maps];
-            walk.dispatch_indirect(&stages::pairs_step, arguments, 0, &bindings);
-            queues.swap(0, 1);
-        }
-        walk.dispatch(&stages::pairs_prepare, [1; 3], &prepare);
-        let mut leaves = Recording::new();
-        let bindings = [scene, pass, places, nodes, counters, near, maps];
-        leaves.dispatch_indirect(&stages::pairs_near, arguments, 3, &bindings);
-        [("clear maps", clear), ("traverse", walk), ("near leaves", leaves)]
-    }
-
-    fn record_maps(&self, levels: usize) -> [(&'static str, Recording<'static>); 2] {
-        let [pass, head, nodes, links, maps, packed] =
-            self.bindings(["pass parameters", "view hierarchy", "view nodes", "links", "maps", "leaf maps"]);
-        let arguments = self.kept("view hierarchy");
-        let mut fuse = Recording::new();
-        for level in 1..levels {
-            let at = (tree::ARGUMENTS + level * tree::LEVEL_ARGUMENTS + 6) as u32;
-            let bindings = [pass, self.levels[level].into(), head, nodes, links, maps];
-            fuse.dispatch_indirect(&stages::maps_fuse, arguments, at, &bindings);
-        }
-        let mut pack = Recording::new();
-        let bindings = [pass, head, links, maps, packed];
-        pack.dispatch_indirect(&stages::maps_pack, arguments, tree::LEAF_ARGUMENTS as u32, &bindings);
-        [("fuse", fuse), ("pack", pack)]
-    }
 }
 
 /// Invocations that share a near pair where that is not too few.
 const NEAR_LANES: u32 = 8;
-
-/// Most levels that the hierarchy over so many views can have: one for each octal digit, then eighths of views in one
-/// place, and the leaves.
-fn most_levels(views: u32, sharing: bool) -> usize {
-    let mut eighths = 0;
-    let mut views = if sharing { views.div_ceil(MOST_SHARED) } else { views };
-    while views > 1 {
-        views = views.div_ceil(8);
-        eighths += 1;
-    }
-    (crate::mega_views::KEY_LEVELS as usize + eighths + 1).min(MOST_TREE_LEVELS)
-}
-
-/// The buffer `view hierarchy` with a root that is to be cut.
-fn first_node(slices: u32) -> [u32; tree::WORDS] {
-    let mut words = [0; tree::WORDS];
-    words[tree::NODES] = 1;
-    words[tree::STARTS + 1] = 1;
-    for at in [tree::ARGUMENTS, tree::ARGUMENTS + 3] {
-        words[at..at + 3].fill(1);
-    }
-    for at in [tree::ARGUMENTS + 6, tree::NODE_ARGUMENTS] {
-        words[at..at + 3].copy_from_slice(&[1, 1, slices]);
-    }
-    words
-}
 
 fn grid(groups: u32) -> [u32; 3] {
     let most = crate::constants::MAX_WORKGROUPS;
