@@ -37,6 +37,8 @@ pub struct MegaViewsSettings {
     pub sharing: bool,
     /// Pack depths as 16-bit floats.
     pub half_depths: bool,
+    /// Also find the scene node that each texel shows, which walks both hierarchies twice.
+    pub with_numbers: bool,
 }
 
 /// What a pass has room for.
@@ -68,6 +70,9 @@ pub struct PassMaps {
     pub level_starts: Vec<u32>,
     /// Maps of the leaves, in the order of [`PassMaps::nodes`]: floats of 32 bits, or two of 16 in a word.
     pub depths: Vec<u32>,
+    /// For each texel of these maps the number of the scene node that it shows
+    /// ([`NodeRef`](crate::scene_tree::NodeRef)), or [`NO_NUMBER`](crate::mega_views::NO_NUMBER). Empty unless wanted.
+    pub numbers: Vec<u32>,
     /// Most pairs in the queue, and pairs of two leaves.
     pub pairs: [u32; 2],
 }
@@ -316,10 +321,13 @@ impl<'a> MegaViewsDevice<'a> {
         room: Room,
     ) -> Result<PassResult, DeviceError> {
         let texels = texel_count(settings.resolution) as u32;
-        let map_words = if settings.half_depths { texels / 2 } else { texels };
+        let number_words = if settings.with_numbers { texels } else { 0 };
+        let depth_words = if settings.half_depths { texels / 2 } else { texels };
+        let packed_words = depth_words + number_words;
         let leaves = room.nodes.min(count);
         for (what, bytes) in [
             ("pass parameters", 64),
+            ("parameters of numbers", 64),
             ("view hierarchy", 4 * tree::WORDS as u64),
             ("ranges", 8 * u64::from(room.nodes)),
             ("sums of chunks", 8 * u64::from(room.nodes)),
@@ -331,12 +339,12 @@ impl<'a> MegaViewsDevice<'a> {
             ("pairs", 8 * u64::from(room.pairs)),
             ("queued pairs", 8 * u64::from(room.pairs)),
             ("near pairs", 8 * u64::from(room.near)),
-            ("maps", 4 * u64::from(texels) * u64::from(room.nodes)),
-            ("leaf maps", 4 * u64::from(map_words) * u64::from(leaves)),
+            ("maps", 4 * u64::from(texels + number_words) * u64::from(room.nodes)),
+            ("leaf maps", 4 * u64::from(packed_words) * u64::from(leaves)),
         ] {
             self.keep(what, bytes)?;
         }
-        let params = [PassParams {
+        let params = PassParams {
             resolution: settings.resolution,
             texels,
             scale: settings.resolution as f32 / settings.texels,
@@ -351,16 +359,19 @@ impl<'a> MegaViewsDevice<'a> {
             near_capacity: room.near,
             half_depths: u32::from(settings.half_depths),
             slices: texels.div_ceil(crate::constants::MAP_SLICE),
-            reserved_a: 0,
-            reserved_b: 0,
-            reserved_c: 0,
-        }];
-        let head = first_node(params[0].slices);
+            with_numbers: u32::from(settings.with_numbers),
+            draws_numbers: 0,
+            reserved: 0,
+        };
+        let of_numbers = [PassParams { draws_numbers: 1, ..params }];
+        let head = first_node(params.slices);
+        let params = [params];
         let (whole_run, root_pair) = ([[0, count]], [[0, PAIR_WHOLE]]);
         let mut first_counters = [0u32; counter::WORDS];
         first_counters[counter::QUEUED] = 1;
         let mut uploads = Recording::new();
         uploads.upload(self.kept("pass parameters"), &params);
+        uploads.upload(self.kept("parameters of numbers"), &of_numbers);
         uploads.upload(self.kept("view hierarchy"), &head);
         uploads.upload(self.kept("ranges"), &whole_run);
         uploads.upload(self.kept("pairs"), &root_pair);
@@ -369,7 +380,7 @@ impl<'a> MegaViewsDevice<'a> {
         let levels = most_levels(count, settings.sharing);
         let mut parts = vec![("upload", uploads)];
         parts.extend(self.record_hierarchy(levels));
-        parts.extend(self.record_traversal(levels + self.scene.depth as usize));
+        parts.extend(self.record_traversal(levels + self.scene.depth as usize, settings.with_numbers));
         parts.extend(self.record_maps(levels));
         if self.timings.is_none() {
             // Everything at once.
@@ -387,12 +398,13 @@ impl<'a> MegaViewsDevice<'a> {
             return Err(DeviceError::Failed("MegaViews came to no end; please report this".to_owned()));
         }
         let nodes = self.download(self.kept("view nodes"), head[tree::NODES] as usize)?;
-        let words = head[tree::LEAVES] as usize * map_words as usize;
-        let depths = self.download(self.kept("leaf maps"), words)?;
+        let maps = head[tree::LEAVES] as usize;
+        let mut depths: Vec<u32> = self.download(self.kept("leaf maps"), maps * packed_words as usize)?;
+        let numbers = depths.split_off(maps * depth_words as usize);
         let mut level_starts = head[tree::STARTS..=tree::STARTS + levels].to_vec();
         level_starts.dedup();
         let pairs = [counters[counter::MOST], counters[counter::NEAR]];
-        Ok(PassResult::Maps(PassMaps { nodes, level_starts, depths, pairs }))
+        Ok(PassResult::Maps(PassMaps { nodes, level_starts, depths, numbers, pairs }))
     }
 
     fn run_together(&mut self, parts: Vec<(&'static str, Recording<'_>)>) -> Result<(), DeviceError> {

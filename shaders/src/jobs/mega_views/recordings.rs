@@ -37,10 +37,45 @@ impl MegaViewsDevice<'_> {
         [("cut views", cut), ("merge views", merge)]
     }
 
-    pub(super) fn record_traversal(&self, steps: usize) -> [(&'static str, Recording<'static>); 3] {
-        let [scene, pass, head, links, places, nodes, counters, near, maps] = self.bindings([
-            "scene parameters",
+    /// The walk that draws depths, and if wanted the one that draws numbers.
+    pub(super) fn record_traversal(
+        &self,
+        steps: usize,
+        with_numbers: bool,
+    ) -> Vec<(&'static str, Recording<'static>)> {
+        let [pass, of_numbers, head, counters, pairs, maps] = self.bindings([
             "pass parameters",
+            "parameters of numbers",
+            "view hierarchy",
+            "counters",
+            "pairs",
+            "maps",
+        ]);
+        let mut clear = Recording::new();
+        let of_nodes = tree::NODE_ARGUMENTS as u32;
+        clear.dispatch_indirect(
+            &stages::maps_clear,
+            self.kept("view hierarchy"),
+            of_nodes,
+            &[pass, head, maps],
+        );
+        let mut parts = vec![
+            ("clear maps", clear),
+            ("traverse", self.walk(pass, steps)),
+            ("near leaves", self.near(pass)),
+        ];
+        if with_numbers {
+            let mut walk = Recording::new();
+            walk.dispatch(&stages::pairs_restart, [1; 3], &[counters, pairs]);
+            walk.append(self.walk(of_numbers, steps));
+            parts.extend([("traverse again", walk), ("near leaves again", self.near(of_numbers))]);
+        }
+        parts
+    }
+
+    fn walk(&self, pass: Binding, steps: usize) -> Recording<'static> {
+        let [scene, head, links, places, nodes, counters, near, maps] = self.bindings([
+            "scene parameters",
             "view hierarchy",
             "scene nodes",
             "scene places",
@@ -51,14 +86,6 @@ impl MegaViewsDevice<'_> {
         ]);
         let mut queues: [Binding; 2] = self.bindings(["pairs", "queued pairs"]);
         let arguments = self.kept("arguments");
-        let mut clear = Recording::new();
-        let of_nodes = tree::NODE_ARGUMENTS as u32;
-        clear.dispatch_indirect(
-            &stages::maps_clear,
-            self.kept("view hierarchy"),
-            of_nodes,
-            &[pass, head, maps],
-        );
         let mut walk = Recording::new();
         let prepare = [pass, head, counters, arguments.into()];
         for _ in 0..steps {
@@ -68,10 +95,22 @@ impl MegaViewsDevice<'_> {
             queues.swap(0, 1);
         }
         walk.dispatch(&stages::pairs_prepare, [1; 3], &prepare);
+        walk
+    }
+
+    fn near(&self, pass: Binding) -> Recording<'static> {
+        let [scene, places, nodes, counters, near, maps] = self.bindings([
+            "scene parameters",
+            "scene places",
+            "view nodes",
+            "counters",
+            "near pairs",
+            "maps",
+        ]);
         let mut leaves = Recording::new();
         let bindings = [scene, pass, places, nodes, counters, near, maps];
-        leaves.dispatch_indirect(&stages::pairs_near, arguments, 3, &bindings);
-        [("clear maps", clear), ("traverse", walk), ("near leaves", leaves)]
+        leaves.dispatch_indirect(&stages::pairs_near, self.kept("arguments"), 3, &bindings);
+        leaves
     }
 
     pub(super) fn record_maps(&self, levels: usize) -> [(&'static str, Recording<'static>); 2] {
