@@ -6,11 +6,9 @@ fn keep(map: u32, texel: u32, distance: f32, node: u32) {
     let at = map * pass_params.texels + texel;
     let bits = bitcast<u32>(distance);
     let kept = atomicLoad(&maps[at]);
-    if pass_params.draws_numbers == 1u {
-        if bits == kept {
-            atomicMin(&maps[number_at(at)], node);
-        }
-    } else if bits < kept {
-        atomicMin(&maps[at], bits);
+    // One atomic operation for both: software adapters pay for every one that they see.
+    let draws_numbers = pass_params.draws_numbers == 1u;
+    if select(bits < kept, bits == kept, draws_numbers) {
+        atomicMin(&maps[select(at, number_at(at), draws_numbers)], select(bits, node, draws_numbers));
     }
 }
