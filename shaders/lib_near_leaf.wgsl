@@ -1,5 +1,5 @@
 // Draws a leaf that fills more than a texel as the cube it is: every texel whose middle ray meets it gets the distance
-// where it enters. The stage has `keep(map, texel, distance)`.
+// where it enters. The stage has `keep(map, texel, distance, node)`.
 
 // Below this sum of cosines a leaf's sphere reaches so far around a half's pole that the whole half is tried.
 const WHOLE_HALF: f32 = 1e-3;
@@ -33,13 +33,21 @@ fn leaf_candidates(half: u32, offset: vec3<f32>, len: f32, edge: f32, resolution
 }
 
 // The part of lane `lane` of `lanes`, for a leaf that does not hold the middle of the map.
-fn draw_near_leaf(map: u32, offset: vec3<f32>, edge: f32, resolution: u32, lane: u32, lanes: u32) {
+fn draw_near_leaf(
+    map: u32,
+    leaf: u32,
+    offset: vec3<f32>,
+    edge: f32,
+    resolution: u32,
+    lane: u32,
+    lanes: u32,
+) {
     let len = sqrt(dot(offset, offset));
     if !(len > 0.0) {
         return;
     }
     if lane == 0u {
-        keep(map, paraboloid_texel(offset, len, resolution), len);
+        keep(map, paraboloid_texel(offset, len, resolution), len, leaf);
     }
     let low = offset - edge * 0.5;
     let high = offset + edge * 0.5;
@@ -64,7 +72,7 @@ fn draw_near_leaf(map: u32, offset: vec3<f32>, edge: f32, resolution: u32, lane:
             let far = max(a, b);
             let enter = max(near.x, max(near.y, near.z));
             if enter <= min(far.x, min(far.y, far.z)) && enter > 0.0 {
-                keep(map, texel, enter);
+                keep(map, texel, enter, leaf);
             }
         }
     }

@@ -21,7 +21,14 @@ struct PassParams {
     half_depths: u32,
     // Workgroups that share a map where it is cleared, fused or packed.
     slices: u32,
-    reserved_a: u32,
-    reserved_b: u32,
-    reserved_c: u32,
+    // 1 if behind all depths `maps` holds, texel for texel, numbers of scene nodes.
+    with_numbers: u32,
+    // 1 to draw those numbers: all depths are known.
+    draws_numbers: u32,
+    reserved: u32,
+}
+
+// Where the node number of a texel stands in `maps`, of which `at` is the depth.
+fn number_at(at: u32) -> u32 {
+    return pass_params.node_capacity * pass_params.texels + at;
 }

@@ -12,6 +12,10 @@ fn main(@builtin(workgroup_id) group: vec3<u32>, @builtin(local_invocation_index
     }
     let end = min((group.z + 1u) * MAP_SLICE, pass_params.texels);
     for (var texel = group.z * MAP_SLICE + lane; texel < end; texel += 64u) {
-        maps[node * pass_params.texels + texel] = INFINITY_BITS;
+        let at = node * pass_params.texels + texel;
+        maps[at] = INFINITY_BITS;
+        if pass_params.with_numbers == 1u {
+            maps[number_at(at)] = NO_NUMBER;
+        }
     }
 }

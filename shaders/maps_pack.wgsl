@@ -1,4 +1,5 @@
-// Puts the maps of the leaves one after the other, as 32-bit or 16-bit floats. A workgroup does a slice of a leaf's.
+// Puts the maps of the leaves one after the other, as 32-bit or 16-bit floats; behind them all, if wanted, their node numbers.
+// A workgroup does a slice of a leaf's.
 
 @group(0) @binding(0) var<uniform> pass_params: PassParams;
 @group(0) @binding(1) var<storage, read> tree: array<u32>;
@@ -36,6 +37,13 @@ fn main(@builtin(workgroup_id) group: vec3<u32>, @builtin(local_invocation_index
     } else {
         for (var texel = group.z * MAP_SLICE + lane; texel < end; texel += 64u) {
             packed[leaf * pass_params.texels + texel] = maps[map + texel];
+        }
+    }
+    if pass_params.with_numbers == 1u {
+        let depth_words = select(pass_params.texels, pass_params.texels / 2u, pass_params.half_depths == 1u);
+        let first = tree[TREE_LEAVES] * depth_words + leaf * pass_params.texels;
+        for (var texel = group.z * MAP_SLICE + lane; texel < end; texel += 64u) {
+            packed[first + texel] = maps[number_at(map + texel)];
         }
     }
 }

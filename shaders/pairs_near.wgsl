@@ -8,14 +8,6 @@
 @group(0) @binding(5) var<storage, read> near_pairs: array<vec2<u32>>;
 @group(0) @binding(6) var<storage, read_write> maps: array<atomic<u32>>;
 
-fn keep(map: u32, texel: u32, distance: f32) {
-    let at = map * pass_params.texels + texel;
-    let bits = bitcast<u32>(distance);
-    if bits < atomicLoad(&maps[at]) {
-        atomicMin(&maps[at], bits);
-    }
-}
-
 @compute @workgroup_size(64)
 fn main(@builtin(workgroup_id) group: vec3<u32>, @builtin(local_invocation_index) lane: u32) {
     let lanes = pass_params.near_lanes;
@@ -27,5 +19,5 @@ fn main(@builtin(workgroup_id) group: vec3<u32>, @builtin(local_invocation_index
     let cell = octant_cell(place_cell(scene_places[leaf_parent(pair.x)]), pair.x & 7u);
     let edge = cell_size(scene.depth);
     let offset = cell_center(cell, edge) - view_nodes[pair.y].center;
-    draw_near_leaf(pair.y, offset, edge, pass_params.resolution, lane & (lanes - 1u), lanes);
+    draw_near_leaf(pair.y, pair.x, offset, edge, pass_params.resolution, lane & (lanes - 1u), lanes);
 }

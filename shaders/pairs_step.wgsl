@@ -20,15 +20,10 @@ const SPLIT_SCENE: u32 = 1u;
 const SPLIT_VIEWS: u32 = 2u;
 const NEAR: u32 = 3u;
 
-fn draw_point(map: u32, offset: vec3<f32>) {
+fn draw_point(map: u32, offset: vec3<f32>, node: u32) {
     let len = sqrt(dot(offset, offset));
-    if !(len > 0.0) {
-        return;
-    }
-    let at = map * pass_params.texels + paraboloid_texel(offset, len, pass_params.resolution);
-    let bits = bitcast<u32>(len);
-    if bits < atomicLoad(&maps[at]) {
-        atomicMin(&maps[at], bits);
+    if len > 0.0 {
+        keep(map, paraboloid_texel(offset, len, pass_params.resolution), len, node);
     }
 }
 
@@ -44,9 +39,9 @@ fn look_at(node: u32, cell: vec3<u32>, level: u32, view: ViewNode, view_index: u
     let is_leaf = node >= SCENE_LEAF;
     if is_small(offset, len, max(radius, PARALLAX * view.radius), view.radius, pass_params.scale) {
         if is_leaf {
-            draw_point(view_index, offset);
+            draw_point(view_index, offset, node);
         } else {
-            draw_point(view_index, mean_position(cell, scene_links[node].y, edge) - view.center);
+            draw_point(view_index, mean_position(cell, scene_links[node].y, edge) - view.center, node);
         }
         return DONE;
     }

@@ -6,29 +6,34 @@
 //! # Tolerances
 //! Keys, order, ranges of nodes and boxes are exact. Square roots and fused products of a GPU may round otherwise: radii and
 //! cones agree to 10⁻⁵; a pair whose test is decided by the last bit is drawn by one and subdivided by the other, and a ray along
-//! the edge of a leaf hits for one alone. So depths agree to 10⁻⁴ of their length but in one texel of a thousand.
+//! the edge of a leaf hits for one alone. So depths agree to 10⁻⁴ of their length but in one texel of a thousand. What a texel
+//! shows is another node there, and where two nodes are as near but for the last bit: three texels of a thousand. On one device
+//! numbers are exact: every texel with a depth shows what has that very depth, however often it is drawn.
 
 mod support;
 
 use libtest_mimic::Failed;
 use manyview::gpu::{GpuContext, WgpuExecutor};
+use manyview::megaviews::MegaViews;
 use manyview::megaviews::gpu::MegaViewsGpu;
 use manyview::megaviews::view_tree::{SortedViews, ViewTree};
-use manyview::views::{View, ViewMaps, ViewRenderer, ViewSettings};
+use manyview::views::{View, ViewError, ViewMaps, ViewRenderer, ViewSettings};
 use manyview_shaders::executor::{CpuExecutor, ExecutorLimits};
 use manyview_shaders::jobs::mega_views::{
     MegaViewsDevice, MegaViewsSettings, PassMaps, PassResult, Room, SortedOrder,
 };
-use manyview_shaders::mega_views::ViewCone;
+use manyview_shaders::mega_views::{NO_NUMBER, ViewCone};
 use manyview_shaders::scene_tree::SceneTree;
+use std::sync::Arc;
 use std::time::Instant;
 use support::gpu::Check;
 use support::{Numbers, octree};
 
 fn main() {
-    let checks: [(&str, Check); 5] = [
+    let checks: [(&str, Check); 6] = [
         ("hierarchies_are_those_of_the_cpu", hierarchies_are_those_of_the_cpu),
         ("pairs_and_maps_are_those_of_the_twins", pairs_and_maps_are_those_of_the_twins),
+        ("colours_are_those_of_the_cpu", colours_are_those_of_the_cpu),
         ("little_room_changes_nothing_but_the_passes", little_room_changes_nothing_but_the_passes),
         ("large_maps_of_few_views_are_complete", large_maps_of_few_views_are_complete),
         ("a_baked_scene_is_drawn_and_timed", a_baked_scene_is_drawn_and_timed),
@@ -52,7 +57,7 @@ fn scene(depth: u32) -> SceneTree {
             voxels.push([x, z, side / 3]);
         }
     }
-    SceneTree::new(&octree([-5.0; 3], 10.0, depth, &voxels), false)
+    SceneTree::new(&octree([-5.0; 3], 10.0, depth, &voxels), true)
 }
 
 fn views(count: usize, seed: u64) -> Vec<View> {
@@ -69,8 +74,14 @@ fn views(count: usize, seed: u64) -> Vec<View> {
     views
 }
 
-const SETTINGS: MegaViewsSettings =
-    MegaViewsSettings { resolution: 16, texels: 1.0, culling: true, sharing: true, half_depths: false };
+const SETTINGS: MegaViewsSettings = MegaViewsSettings {
+    resolution: 16,
+    texels: 1.0,
+    culling: true,
+    sharing: true,
+    half_depths: false,
+    with_numbers: false,
+};
 const ROOM: Room = Room { nodes: 8000, pairs: 1 << 20, near: 1 << 20 };
 
 fn draw(
@@ -167,6 +178,7 @@ fn pairs_and_maps_are_those_of_the_twins(context: &GpuContext) -> Result<(), Fai
             // The order in which pairs are queued shows nowhere.
             let (_, again) = draw(&mut device, &views, &settings)?;
             ensure(again == found, || format!("another time, another result: {}", what()))?;
+            check_numbers(&mut twins, &mut device, &views, &settings, &found)?;
             let half = MegaViewsSettings { half_depths: true, ..settings };
             let (_, half) = draw(&mut device, &views, &half)?;
             let packed = found.depths.chunks(2).map(|pair| {
@@ -179,11 +191,69 @@ fn pairs_and_maps_are_those_of_the_twins(context: &GpuContext) -> Result<(), Fai
     Ok(())
 }
 
+/// Numbers of scene nodes beside depths that are as without them.
+fn check_numbers(
+    twins: &mut MegaViewsDevice<'_>,
+    device: &mut MegaViewsDevice<'_>,
+    views: &[View],
+    settings: &MegaViewsSettings,
+    without: &PassMaps,
+) -> Result<(), Failed> {
+    let settings = MegaViewsSettings { with_numbers: true, ..*settings };
+    let (_, expected) = draw(twins, views, &settings)?;
+    let (_, found) = draw(device, views, &settings)?;
+    let what = || format!("{settings:?}");
+    ensure(without.numbers.is_empty() && found.depths == without.depths, || {
+        format!("numbers change depths: {}", what())
+    })?;
+    let empty = |maps: &PassMaps| {
+        let texels = maps.depths.iter().zip(&maps.numbers);
+        texels.filter(|&(&bits, &number)| (bits == f32::INFINITY.to_bits()) != (number == NO_NUMBER)).count()
+    };
+    ensure(found.numbers.len() == found.depths.len() && empty(&found) == 0, || {
+        format!("{} depths without a number or numbers without a depth: {}", empty(&found), what())
+    })?;
+    let differing = found.numbers.iter().zip(&expected.numbers).filter(|(a, b)| a != b).count();
+    let share = differing as f64 / expected.numbers.len() as f64;
+    ensure(share <= 3e-3, || format!("{share} of all texels show something else: {}", what()))?;
+    let (_, again) = draw(device, views, &settings)?;
+    ensure(again == found, || format!("another time, other numbers: {}", what()))?;
+    let (_, half) = draw(device, views, &MegaViewsSettings { half_depths: true, ..settings })?;
+    ensure(half.numbers == found.numbers && 2 * half.depths.len() == found.depths.len(), || {
+        format!("numbers beside halves: {}", what())
+    })
+}
+
+fn colours_are_those_of_the_cpu(context: &GpuContext) -> Result<(), Failed> {
+    let scene = scene(6);
+    let views = views(500, 29);
+    let settings = ViewSettings { with_colors: true, ..ViewSettings::new(16) };
+    let found = MegaViewsGpu::on_gpu(context, &scene)?.render_views(&views, &settings)?;
+    let expected = MegaViews::new(Arc::new(scene.clone())).render_views(&views, &settings)?;
+    let texels = found.colors().len() / found.centers().len();
+    let (mut differing, mut filled) = (0, 0);
+    for view in 0..views.len() {
+        let [found, expected] = [&found, &expected].map(|maps| {
+            let map = maps.map_of()[view] as usize;
+            &maps.colors()[map * texels..][..texels]
+        });
+        differing += found.iter().zip(expected).filter(|(a, b)| a != b).count();
+        filled += expected.iter().filter(|&&color| color != [0; 4]).count();
+    }
+    let all = views.len() * texels;
+    ensure(filled > all / 4 && differing as f64 <= 3e-3 * all as f64, || {
+        format!("{differing} colours of {filled} differ")
+    })?;
+    let uncolored = SceneTree { colors: Vec::new(), ..scene };
+    let refused = MegaViewsGpu::on_gpu(context, &uncolored)?.render_views(&views, &settings);
+    ensure(matches!(refused, Err(ViewError::Unsupported { .. })), || "a scene without colours".to_owned())
+}
+
 /// A pass is exactly what its views give if they are drawn alone, whether it was planned or drawn again in halves.
 fn little_room_changes_nothing_but_the_passes(context: &GpuContext) -> Result<(), Failed> {
     let scene = scene(5);
     let views = views(600, 23);
-    let settings = ViewSettings::new(16);
+    let settings = ViewSettings { with_colors: true, ..ViewSettings::new(16) };
     let whole = MegaViewsGpu::on_gpu(context, &scene)?;
     let mut runs = Vec::new();
     let mut count_runs = |pass: ViewMaps| {
@@ -211,6 +281,9 @@ fn little_room_changes_nothing_but_the_passes(context: &GpuContext) -> Result<()
                     format!("{room:?}: view {} of a pass of {}", pass.views()[place], of_pass.len())
                 })?;
             }
+            ensure(alone.colors() == pass.colors() && !pass.colors().is_empty(), || {
+                format!("{room:?}: colours of a pass of {}", of_pass.len())
+            })?;
         }
     }
     Ok(())
@@ -221,7 +294,7 @@ fn large_maps_of_few_views_are_complete(context: &GpuContext) -> Result<(), Fail
     let scene = scene(1);
     let views = [View::around([0.3, 4.2, 0.1])];
     for resolution in [512, 1024] {
-        let settings = MegaViewsSettings { resolution, ..SETTINGS };
+        let settings = MegaViewsSettings { resolution, with_numbers: true, ..SETTINGS };
         let room = Room { nodes: 2, pairs: 1000, near: 1000 };
         let cones: Vec<ViewCone> = views.iter().map(ViewCone::from).collect();
         let mut results = Vec::new();
@@ -237,6 +310,9 @@ fn large_maps_of_few_views_are_complete(context: &GpuContext) -> Result<(), Fail
         let share = differing(&results[0].depths, &results[1].depths);
         let finite = results[1].depths.iter().filter(|&&bits| bits != f32::INFINITY.to_bits()).count();
         ensure(share < 1e-3 && finite > 1 << 17, || format!("{resolution}: {share} of texels, {finite}"))?;
+        let [found, expected] = &results[..] else { unreachable!("two devices") };
+        let others = found.numbers.iter().zip(&expected.numbers).filter(|(a, b)| a != b).count();
+        ensure(others < found.numbers.len() / 300, || format!("{resolution}: {others} other numbers"))?;
     }
     Ok(())
 }
@@ -245,7 +321,7 @@ fn large_maps_of_few_views_are_complete(context: &GpuContext) -> Result<(), Fail
 fn a_baked_scene_is_drawn_and_timed(context: &GpuContext) -> Result<(), Failed> {
     let Ok(path) = std::env::var("MANYVIEW_TIME_BAKE") else { return Ok(()) };
     let archive = manyview::Archive::open(&path)?;
-    let scene = SceneTree::new(&archive.svo()?, false);
+    let scene = SceneTree::new(&archive.svo()?, true);
     eprintln!("{} inner nodes, {} leaves", scene.nodes.len(), scene.leaf_count());
     for count in [1024, 4096, 16_384, 65_536] {
         let mut numbers = Numbers(7);
@@ -259,8 +335,10 @@ fn a_baked_scene_is_drawn_and_timed(context: &GpuContext) -> Result<(), Failed> 
             })
             .collect();
         let renderer = MegaViewsGpu::on_gpu(context, &scene)?;
-        let settings = ViewSettings::new(16);
-        for timed in [false, true, false] {
+        for (timed, with_colors) in
+            [(false, false), (true, false), (false, false), (true, true), (false, true)]
+        {
+            let settings = ViewSettings { with_colors, ..ViewSettings::new(16) };
             if timed {
                 renderer.take_times();
             }
@@ -270,7 +348,8 @@ fn a_baked_scene_is_drawn_and_timed(context: &GpuContext) -> Result<(), Failed> 
                 passes += 1;
                 Ok(())
             })?;
-            eprintln!("{count} views, {passes} passes: {:.0?}", start.elapsed());
+            let colors = if with_colors { " with colours" } else { "" };
+            eprintln!("{count} views{colors}, {passes} passes: {:.0?}", start.elapsed());
             let mut parts: Vec<(&str, std::time::Duration)> = Vec::new();
             for (name, time) in renderer.timings() {
                 match parts.iter_mut().find(|(other, _)| *other == name) {

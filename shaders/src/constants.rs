@@ -5,7 +5,7 @@ use crate::direction_table::TABLE_SIDE;
 use crate::directions::{ROW_LATTICE, ROW_RAW_BITS};
 use crate::masks::{UNMASKED, WrapCode};
 use crate::mega_views::{
-    CONE_SLACK, KEY_LEVELS, MOST_SHARED, PAIR_SPLITS_VIEWS, PAIR_WHOLE, counter, flag, tree,
+    CONE_SLACK, KEY_LEVELS, MOST_SHARED, NO_NUMBER, PAIR_SPLITS_VIEWS, PAIR_WHOLE, counter, flag, tree,
 };
 use crate::raster::BARYCENTRIC_ONE;
 use crate::row_test::{LONGEST, MAX_HALVINGS, NEAR_STEPS, NORMAL_DROP, SHORTEST, TEST_RAW_BITS};
@@ -79,6 +79,7 @@ pub fn wgsl() -> String {
         ("FLAG_NODES", flag::NODES),
         ("FLAG_PAIRS", flag::PAIRS),
         ("FLAG_NEAR", flag::NEAR),
+        ("NO_NUMBER", NO_NUMBER),
         ("PAIR_SPLITS_VIEWS", PAIR_SPLITS_VIEWS),
         ("PAIR_WHOLE", PAIR_WHOLE),
         ("PAIR_VIEW", PAIR_SPLITS_VIEWS - 1),

@@ -9,11 +9,17 @@
 //! |---|---|
 //! | Morton order of views | `view_keys`; five times `sort_count`, a prefix sum by `scan_sums` and `scan_apply`, `sort_scatter`; `sort_gather` |
 //! | hierarchy over a run of them, level by level | `tree_count`, `tree_scan`, `tree_emit`; upwards `tree_merge` |
-//! | traversal, step by step | `pairs_prepare`, `pairs_step`; then `pairs_near` |
+//! | traversal, step by step | `pairs_prepare`, `pairs_step`; then `pairs_near`; for colours all once more, after `pairs_restart` |
 //! | maps | `maps_clear`; downwards `maps_fuse`; `maps_pack` |
 //!
 //! All but the sort run from indirect dispatches: how many nodes and pairs there are stays on the GPU. No invocation loops
 //! more often than some drivers let it (65,535 times in all).
+//!
+//! # Colours
+//! What a texel shows is the scene node whose depth won, of equally near ones that of the smallest number ([`NO_NUMBER`] if
+//! there is none). Depth and number are two words, which no atomic operation keeps together. So the traversal is walked
+//! twice: once for depths, then by the same stages for the numbers of what has the depth that was kept. An invocation computes
+//! a depth by the same instructions both times, so that equal bits are all that there is to ask for.
 //!
 //! # Differences from the paper
 //! A queued pair is one to be subdivided: its children are looked at before they are queued, so that what is dropped or
@@ -33,6 +39,8 @@ pub const CONE_SLACK: f32 = 1e-6;
 pub const MOST_TREE_LEVELS: usize = 32;
 /// Set in the view node of a pair whose view node is to be subdivided.
 pub const PAIR_SPLITS_VIEWS: u32 = 1 << 30;
+/// The node number of a texel that shows nothing.
+pub const NO_NUMBER: u32 = u32::MAX;
 /// Set in the view node of a pair that is to be looked at itself.
 pub const PAIR_WHOLE: u32 = 1 << 31;
 
@@ -242,12 +250,19 @@ pub struct PassParams {
     pub half_depths: u32,
     /// Workgroups that share a map where it is cleared, fused or packed.
     pub slices: u32,
+    /// 1 if behind the depths of all maps there is room for, `maps` holds a number of a scene node for each.
+    pub with_numbers: u32,
+    /// 1 to draw those numbers: all depths are known.
+    pub draws_numbers: u32,
     /// Zero.
-    pub reserved_a: u32,
-    /// Zero.
-    pub reserved_b: u32,
-    /// Zero.
-    pub reserved_c: u32,
+    pub reserved: u32,
+}
+
+impl PassParams {
+    /// Where the node number of a texel stands in the maps, of which `at` is the depth.
+    pub fn number_at(&self, at: usize) -> usize {
+        self.node_capacity as usize * self.texels as usize + at
+    }
 }
 
 /// The nearest 16-bit float of a 32-bit one that is not negative; of two equally near ones the even.

@@ -6,6 +6,7 @@
 //! line and put in front; [`crate::constants`] come before all. A missing file or twin does not compile; tests
 //! compare the table with what the shader compiler sees.
 
+mod lib_keep;
 mod lib_rays;
 mod lib_scan;
 mod lib_view_tree;
@@ -152,10 +153,11 @@ stages! {
     maps_pack(lib_pass, lib_grid) [Uniform, Read, Read, Read, ReadWrite] Compute { workgroup_size: [64, 1, 1] };
     pairs_prepare(lib_pass, lib_grid)
         [Uniform, Read, ReadWrite, ReadWrite] Compute { workgroup_size: [1, 1, 1] };
-    pairs_step(lib_scene_tree, lib_pass, lib_grid, lib_paraboloid, lib_view_nodes)
+    pairs_restart() [ReadWrite, ReadWrite] Compute { workgroup_size: [1, 1, 1] };
+    pairs_step(lib_scene_tree, lib_pass, lib_grid, lib_paraboloid, lib_view_nodes, lib_keep)
         [Uniform, Uniform, Read, Read, Read, Read, ReadWrite, ReadWrite, ReadWrite, ReadWrite]
         Compute { workgroup_size: [64, 1, 1] };
-    pairs_near(lib_scene_tree, lib_pass, lib_grid, lib_paraboloid, lib_view_nodes, lib_near_leaf)
+    pairs_near(lib_scene_tree, lib_pass, lib_grid, lib_paraboloid, lib_view_nodes, lib_near_leaf, lib_keep)
         [Uniform, Uniform, Read, Read, Read, Read, ReadWrite] Compute { workgroup_size: [64, 1, 1] };
     visible_triangles(lib_masks) [Uniform, Read, Read, Read, Read, Depth, ReadWrite] Depth;
 }

@@ -459,6 +459,6 @@ gpu_structs! {
     LevelParams { level, reserved_a, reserved_b, reserved_c }
     PassParams {
         resolution, texels, scale, culling, run_start, run_count, sharing, near_lanes, node_capacity, pair_capacity,
-        near_capacity, half_depths, slices, reserved_a, reserved_b, reserved_c,
+        near_capacity, half_depths, slices, with_numbers, draws_numbers, reserved,
     }
 }

@@ -5,14 +5,20 @@ use manyview_shaders::executor::CpuExecutor;
 use manyview_shaders::jobs::mega_views::{
     MegaViewsDevice, MegaViewsSettings, PassMaps, PassResult, Room, SortedOrder,
 };
-use manyview_shaders::mega_views::{SceneParams, ViewCone, flag, half_bits};
+use manyview_shaders::mega_views::{NO_NUMBER, SceneParams, ViewCone, flag, half_bits};
 use manyview_shaders::paraboloid::{is_inside, texel, texel_count, texel_direction};
 use manyview_shaders::scene_tree::{NodeRef, SPHERE_OF_CUBE, SceneTree};
 use manyview_shaders::svo::Svo;
 use manyview_shaders::views::{PairStep, View, ViewNode, pair_step};
 
-const SETTINGS: MegaViewsSettings =
-    MegaViewsSettings { resolution: 16, texels: 1.0, culling: true, sharing: true, half_depths: false };
+const SETTINGS: MegaViewsSettings = MegaViewsSettings {
+    resolution: 16,
+    texels: 1.0,
+    culling: true,
+    sharing: true,
+    half_depths: false,
+    with_numbers: false,
+};
 const ROOM: Room = Room { nodes: 3000, pairs: 200_000, near: 100_000 };
 
 /// The octree of some voxels over a cube of edge 8 around the origin.
@@ -145,12 +151,12 @@ fn a_room_is_closed() {
     assert_eq!(leaf, 3);
 }
 
-/// The traversal, written down recursively: the depth of every drawn texel of every node's map.
+/// The traversal, written down recursively: for every texel of every node's map its depth and what it shows.
 struct Walk<'a> {
     scene: &'a SceneTree,
     nodes: &'a [ViewNode],
     settings: MegaViewsSettings,
-    maps: Vec<Vec<f32>>,
+    maps: Vec<Vec<(f32, u32)>>,
     near: u32,
 }
 
@@ -166,19 +172,18 @@ impl Walk<'_> {
             PairStep::Drop => {}
             PairStep::Point => {
                 let mean = self.scene.mean(s);
-                self.keep(v, [0, 1, 2].map(|i| mean[i] - view.center[i]));
+                self.draw_point(v, [0, 1, 2].map(|i| mean[i] - view.center[i]), s);
             }
             PairStep::Near if offset.iter().all(|c| c.abs() <= edge * 0.5) => {}
             PairStep::Near => {
                 self.near += 1;
-                self.keep(v, offset);
+                self.draw_point(v, offset, s);
                 for t in 0..texel_count(self.settings.resolution) as u32 {
                     let direction = texel_direction(t, self.settings.resolution);
                     if let Some(distance) = enters(direction, offset, edge)
                         && is_inside(t, self.settings.resolution)
                     {
-                        let kept = &mut self.maps[v][t as usize];
-                        *kept = kept.min(distance as f32);
+                        self.keep(v, t, distance as f32, s);
                     }
                 }
             }
@@ -187,11 +192,17 @@ impl Walk<'_> {
         }
     }
 
-    fn keep(&mut self, v: usize, offset: [f32; 3]) {
+    fn draw_point(&mut self, v: usize, offset: [f32; 3], s: NodeRef) {
         let length = length(offset);
         if length > 0.0 {
-            let kept = &mut self.maps[v][texel(offset, length, self.settings.resolution) as usize];
-            *kept = kept.min(length);
+            self.keep(v, texel(offset, length, self.settings.resolution), length, s);
+        }
+    }
+
+    fn keep(&mut self, v: usize, texel: u32, depth: f32, s: NodeRef) {
+        let kept = &mut self.maps[v][texel as usize];
+        if depth < kept.0 || depth == kept.0 && s.0 < kept.1 {
+            *kept = (depth, s.0);
         }
     }
 
@@ -200,11 +211,13 @@ impl Walk<'_> {
             for child in if node.is_leaf() { 0..0 } else { node.range() } {
                 let offset = [0, 1, 2].map(|i| self.nodes[child].center[i] - node.center[i]);
                 for t in 0..self.maps[index].len() {
-                    let depth = self.maps[index][t];
+                    let (depth, number) = self.maps[index][t];
                     let d = texel_direction(t as u32, self.settings.resolution);
                     if depth < f32::INFINITY {
                         let moved = length([0, 1, 2].map(|i| d[i] * depth - offset[i]));
-                        self.maps[child][t] = self.maps[child][t].min(moved);
+                        if moved < self.maps[child][t].0 {
+                            self.maps[child][t] = (moved, number);
+                        }
                     }
                 }
             }
@@ -212,15 +225,17 @@ impl Walk<'_> {
     }
 }
 
-/// Share of texels whose depths differ by more than a millionth part.
-fn differing(found: &[u32], expected: impl Iterator<Item = f32>) -> f64 {
-    let mut count = 0;
-    for (&bits, expected) in found.iter().zip(expected) {
-        let found = f32::from_bits(bits);
-        let close = found == expected || (found - expected).abs() <= 1e-5 * expected;
-        count += usize::from(!close);
+/// Share of texels whose depths differ by more than a hundred thousandth part, and of those that show something else.
+fn differing(found: &PassMaps, expected: &[(f32, u32)]) -> [f64; 2] {
+    let (mut depths, mut numbers) = (0, 0);
+    for ((&bits, &number), expected) in found.depths.iter().zip(&found.numbers).zip(expected) {
+        let depth = f32::from_bits(bits);
+        let close = depth == expected.0 || (depth - expected.0).abs() <= 1e-5 * expected.0;
+        depths += usize::from(!close);
+        numbers += usize::from(number != expected.1);
+        assert_eq!(depth == f32::INFINITY, number == NO_NUMBER);
     }
-    count as f64 / found.len() as f64
+    [depths, numbers].map(|count| count as f64 / expected.len() as f64)
 }
 
 #[test]
@@ -232,20 +247,22 @@ fn maps_are_those_of_a_recursive_walk() {
             MegaViewsSettings { resolution: 8, texels: 3.0, ..SETTINGS },
         ] {
             let views = random_views(300, 5, reach);
+            let settings = MegaViewsSettings { with_numbers: true, ..settings };
             let (sorted, found) = draw(&scene, &views, &settings);
             check_tree(&scene, &views, &sorted, &found, settings.sharing);
-            let maps = vec![vec![f32::INFINITY; texel_count(settings.resolution)]; found.nodes.len()];
+            let empty = (f32::INFINITY, NO_NUMBER);
+            let maps = vec![vec![empty; texel_count(settings.resolution)]; found.nodes.len()];
             let mut walk = Walk { scene: &scene, nodes: &found.nodes, settings, maps, near: 0 };
             walk.pair(NodeRef::ROOT, 0);
             walk.fuse();
             assert_eq!(walk.near, found.pairs[1]);
             let leaves = found.nodes.iter().zip(&walk.maps).filter(|(node, _)| node.is_leaf());
-            let expected: Vec<f32> = leaves.flat_map(|(_, map)| map.iter().copied()).collect();
-            assert_eq!(expected.len(), found.depths.len());
-            assert!(expected.iter().filter(|depth| depth.is_finite()).count() > 300);
-            // Rays along edges of near leaves hit or miss by rounding.
-            let share = differing(&found.depths, expected.into_iter());
-            assert!(share < 1e-4, "{share}");
+            let expected: Vec<(f32, u32)> = leaves.flat_map(|(_, map)| map.iter().copied()).collect();
+            assert_eq!([expected.len(); 2], [found.depths.len(), found.numbers.len()]);
+            assert!(expected.iter().filter(|(depth, _)| depth.is_finite()).count() > 300);
+            // Rays along edges of near leaves hit or miss by rounding, and of leaves side by side either may be nearer.
+            let shares = differing(&found, &expected);
+            assert!(shares[0] < 1e-4 && shares[1] < 1e-3, "{shares:?}");
         }
     }
 }
@@ -299,7 +316,7 @@ fn too_little_room_is_noticed_whatever_it_is_of() {
     let views = random_views(500, 9, 3700);
     let mut device = device(&scene);
     device.sort(&cones(&views)).unwrap();
-    let settings = MegaViewsSettings { sharing: false, ..SETTINGS };
+    let settings = MegaViewsSettings { sharing: false, with_numbers: true, ..SETTINGS };
     let PassResult::Maps(whole) = device.pass(0, 500, &settings, ROOM).unwrap() else { panic!() };
     let room = Room { nodes: whole.nodes.len() as u32, pairs: whole.pairs[0], near: whole.pairs[1] };
     assert_eq!(device.pass(0, 500, &settings, room).unwrap(), PassResult::Maps(whole.clone()));
@@ -343,4 +360,19 @@ fn half_depths_are_the_nearest_halves() {
     let (_, half) = draw(&scene, &views, &MegaViewsSettings { half_depths: true, ..SETTINGS });
     let pairs = full.depths.chunks(2).map(|pair| half_bits(pair[0]) | half_bits(pair[1]) << 16);
     assert_eq!(half.depths, pairs.collect::<Vec<_>>());
+}
+
+#[test]
+fn numbers_change_no_depth_and_are_the_same_for_halves() {
+    let scene = room(4);
+    let views = random_views(50, 3, 3700);
+    let (_, without) = draw(&scene, &views, &SETTINGS);
+    let with_numbers = MegaViewsSettings { with_numbers: true, ..SETTINGS };
+    let (_, full) = draw(&scene, &views, &with_numbers);
+    assert!(without.numbers.is_empty());
+    assert_eq!(PassMaps { numbers: Vec::new(), ..full.clone() }, without);
+    assert_eq!(full.numbers.len(), full.depths.len());
+    let (_, half) = draw(&scene, &views, &MegaViewsSettings { half_depths: true, ..with_numbers });
+    let (_, half_without) = draw(&scene, &views, &MegaViewsSettings { half_depths: true, ..SETTINGS });
+    assert_eq!((half.depths, half.numbers), (half_without.depths, full.numbers));
 }

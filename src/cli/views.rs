@@ -53,7 +53,8 @@ pub(crate) struct Options {
     /// Where the method runs, if it can run there; `auto` takes a GPU if it is not a software one
     #[arg(long, value_enum, default_value_t = Backend::Auto)]
     backend: Backend,
-    /// Also draw the colours of what is seen, into an EXR's channels R, G, B
+    /// Also draw the colours of what is seen, into an EXR's channels R, G, B: megaviews on the CPU or a GPU, manylods and
+    /// raycast on the CPU
     #[arg(long)]
     colors: bool,
     /// Draw also what is outside the fields of view

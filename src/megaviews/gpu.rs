@@ -5,6 +5,9 @@
 //! a pass queues is not known before. One that needs more room than there is draws nothing, says so together with its results,
 //! and is drawn again in halves: maps are never wrong, and passes come one after the other however the room was guessed.
 //!
+//! With colours maps also hold which scene node each texel shows (\[MV\]'s nodes have colours, and its maps too); the colours are
+//! looked up here, so that they need no room on the device.
+//!
 //! # Differences from the paper
 //! \[MV\] §3.5 starts its passes from the children of the view root. Here a pass is any run of sorted views, with a hierarchy
 //! of its own, so that passes are as large as there is room for.
@@ -15,9 +18,9 @@ use crate::views::{Depths, PassSink, View, ViewError, ViewMaps, ViewRenderer, Vi
 use half::f16;
 use manyview_shaders::executor::{CpuExecutor, Executor, ExecutorLimits};
 use manyview_shaders::jobs::mega_views::{MegaViewsDevice, MegaViewsSettings, PassMaps, PassResult, Room};
-use manyview_shaders::mega_views::ViewCone;
+use manyview_shaders::mega_views::{NO_NUMBER, ViewCone};
 use manyview_shaders::paraboloid::texel_count;
-use manyview_shaders::scene_tree::SceneTree;
+use manyview_shaders::scene_tree::{NodeRef, SceneTree};
 use std::sync::{Mutex, PoisonError};
 use std::time::Duration;
 
@@ -34,6 +37,8 @@ pub struct MegaViewsGpu<'a> {
     device: Mutex<MegaViewsDevice<'a>>,
     sharing: Sharing,
     most: Room,
+    /// What colours are looked up in, if the scene has some.
+    colored: Option<SceneTree>,
 }
 
 impl<'a> MegaViewsGpu<'a> {
@@ -51,7 +56,8 @@ impl<'a> MegaViewsGpu<'a> {
     pub fn new(executor: Box<dyn Executor + Send + 'a>, scene: &SceneTree) -> Result<Self, ViewError> {
         let device = Mutex::new(MegaViewsDevice::new(executor, scene)?);
         let most = Room { nodes: u32::MAX, pairs: u32::MAX, near: u32::MAX };
-        Ok(Self { device, sharing: Sharing::default(), most })
+        let colored = (!scene.colors.is_empty()).then(|| scene.clone());
+        Ok(Self { device, sharing: Sharing::default(), most, colored })
     }
 
     /// Chooses which views share a map.
@@ -98,10 +104,12 @@ impl Plan {
         device: &MegaViewsDevice<'_>,
         most: Room,
     ) -> Result<Self, ViewError> {
-        let map_bytes = 4 * texel_count(settings.resolution) as u64;
+        let texel_words = if settings.with_colors { 2 } else { 1 };
+        let map_bytes = 4 * texel_words * texel_count(settings.resolution) as u64;
         let node_bytes = map_bytes + BYTES_PER_NODE;
-        // Packed, and on its way to the CPU.
-        let leaf_bytes = 2 * settings.map_bytes();
+        // Packed, on its way to the CPU, and there with colours for numbers.
+        let copies = 1 + texel_words;
+        let leaf_bytes = copies * settings.map_bytes();
         let rest = settings.budget_bytes.saturating_sub(views as u64 * BYTES_PER_VIEW);
         let binding = device.binding_bytes();
         // Of five nodes about three are leaves.
@@ -140,8 +148,8 @@ impl ViewRenderer for MegaViewsGpu<'_> {
         sink: &mut PassSink<'_>,
     ) -> Result<(), ViewError> {
         settings.check()?;
-        if settings.with_colors {
-            let problem = "draws no colours; use `megaviews`";
+        if settings.with_colors && self.colored.is_none() {
+            let problem = "was given a scene without colours; load it with them";
             return Err(ViewError::Unsupported { method: "megaviews-gpu", problem });
         }
         let (drawable, others): (Vec<u32>, Vec<u32>) =
@@ -178,6 +186,7 @@ impl MegaViewsGpu<'_> {
             culling: settings.culling,
             sharing: self.sharing == Sharing::Voxel,
             half_depths: settings.half_depths,
+            with_numbers: settings.with_colors,
         };
         let mut places = &sorted.order[..];
         while !places.is_empty() {
@@ -187,7 +196,7 @@ impl MegaViewsGpu<'_> {
                 PassResult::Maps(maps) => {
                     let (pass, rest) = places.split_at(count);
                     let pass = pass.iter().map(|&place| indices[place as usize]).collect();
-                    sink(view_maps(pass, &maps, settings))?;
+                    sink(self.view_maps(pass, &maps, settings))?;
                     places = rest;
                 }
                 PassResult::NoRoom(_) if count == 1 => {
@@ -199,18 +208,19 @@ impl MegaViewsGpu<'_> {
         }
         Ok(())
     }
-}
 
-/// The maps of a pass over `views`.
-fn view_maps(views: Vec<u32>, maps: &PassMaps, settings: &ViewSettings) -> ViewMaps {
-    let mut map_of = vec![ViewMaps::NO_MAP; views.len()];
-    let mut centers = Vec::new();
-    for leaf in maps.nodes.iter().filter(|node| node.is_leaf()) {
-        map_of[leaf.range()].fill(centers.len() as u32);
-        centers.push(leaf.center);
+    /// The maps of a pass over `views`.
+    fn view_maps(&self, views: Vec<u32>, maps: &PassMaps, settings: &ViewSettings) -> ViewMaps {
+        let mut map_of = vec![ViewMaps::NO_MAP; views.len()];
+        let mut centers = Vec::new();
+        for leaf in maps.nodes.iter().filter(|node| node.is_leaf()) {
+            map_of[leaf.range()].fill(centers.len() as u32);
+            centers.push(leaf.center);
+        }
+        let depths = depths(&maps.depths, settings.half_depths);
+        let colors = self.colored.as_ref().map_or_else(Vec::new, |scene| colors(scene, &maps.numbers));
+        ViewMaps::from_parts(settings.resolution, views, map_of, centers, depths, colors)
     }
-    let depths = depths(&maps.depths, settings.half_depths);
-    ViewMaps::from_parts(settings.resolution, views, map_of, centers, depths, Vec::new())
 }
 
 fn depths(words: &[u32], half: bool) -> Depths {
@@ -221,16 +231,30 @@ fn depths(words: &[u32], half: bool) -> Depths {
     }
 }
 
+fn colors(scene: &SceneTree, numbers: &[u32]) -> Vec<[u8; 4]> {
+    let color = |&number: &u32| match number {
+        NO_NUMBER => [0; 4],
+        number => scene.colors[scene.color_index(NodeRef(number))],
+    };
+    numbers.iter().map(color).collect()
+}
+
 #[cfg(test)]
 mod tests {
     use super::*;
     use manyview_shaders::cases::Random;
     use manyview_shaders::svo::Svo;
 
-    /// A floor of 16 × 16 voxels.
+    /// A floor of 16 × 16 voxels, each of a colour of its own.
     fn scene() -> SceneTree {
         let floor = (0..256).map(|i| [i % 16, 0, i / 16]);
-        SceneTree::new(&Svo::of_cells([-4.0; 3], 8.0, 4, floor), false)
+        let mut svo = Svo::of_cells([-4.0; 3], 8.0, 4, floor);
+        for (number, level) in svo.levels.iter_mut().enumerate() {
+            for (i, color) in level.colors.iter_mut().enumerate() {
+                *color = [i as u8, number as u8, 1];
+            }
+        }
+        SceneTree::new(&svo, true)
     }
 
     fn views(count: usize) -> Vec<View> {
@@ -266,12 +290,14 @@ mod tests {
     }
 
     #[test]
-    fn colours_are_refused_and_no_budget_is_an_error() {
+    fn a_scene_without_colours_and_no_budget_are_errors() {
         let settings = ViewSettings { with_colors: true, ..ViewSettings::new(16) };
-        let error = renderer().render_views(&views(1), &settings).unwrap_err();
-        assert!(error.to_string().contains("use `megaviews`"), "{error}");
-        for budget_bytes in [0, 1000, 5000] {
-            let settings = ViewSettings { budget_bytes, ..ViewSettings::new(16) };
+        let uncolored = SceneTree { colors: Vec::new(), ..scene() };
+        let error =
+            MegaViewsGpu::on_twins(&uncolored).unwrap().render_views(&views(1), &settings).unwrap_err();
+        assert!(matches!(error, ViewError::Unsupported { .. }), "{error}");
+        for (budget_bytes, with_colors) in [(0, false), (1000, false), (5000, false), (12_000, true)] {
+            let settings = ViewSettings { budget_bytes, with_colors, ..ViewSettings::new(16) };
             let error = renderer().render_views(&views(3), &settings).unwrap_err();
             assert!(matches!(error, ViewError::Budget { .. }), "{error}");
         }
@@ -280,10 +306,25 @@ mod tests {
         assert!(error.to_string().contains("the queue of one view"), "{error}");
     }
 
+    /// What does not fit a binding or the budget is left to the next pass, with colours twice as early.
+    #[test]
+    fn colours_take_room_from_passes() {
+        let renderer = renderer();
+        let nodes = |settings: &ViewSettings, views: usize| {
+            Plan::new(settings, views, &renderer.device(), renderer.most).unwrap().room.nodes
+        };
+        let [plain, colored] =
+            [false, true].map(|with_colors| ViewSettings { with_colors, ..ViewSettings::new(1024) });
+        assert_eq!([nodes(&plain, 1000), nodes(&colored, 1000)], [16, 8], "128 MiB");
+        let small = |settings: ViewSettings| ViewSettings { budget_bytes: 256 << 20, ..settings };
+        let counts = [nodes(&small(plain), 1000), nodes(&small(colored), 1000)];
+        assert!(counts[1] < counts[0] && counts[1] > 0, "{counts:?}");
+    }
+
     /// A pass is exactly what its views give if they are drawn alone, whether it was planned or found out.
     #[test]
     fn passes_too_large_are_drawn_again_in_parts() {
-        let (views, settings) = (views(70), ViewSettings::new(16));
+        let (views, settings) = (views(70), ViewSettings { with_colors: true, ..ViewSettings::new(16) });
         let whole = renderer();
         let most = u32::MAX;
         for room in [
@@ -309,6 +350,7 @@ mod tests {
                 for place in 0..of_pass.len() {
                     assert_eq!(alone.view_depths(place), pass.view_depths(place), "{room:?}");
                 }
+                assert_eq!(alone.colors(), pass.colors(), "{room:?}");
             }
         }
     }

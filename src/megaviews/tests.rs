@@ -144,6 +144,46 @@ fn check_leaf(
     }
 }
 
+/// By its stages too, whose maps may differ in rounding: along edges of near leaves, and where nodes are equally near.
+#[test]
+fn stages_give_the_same_colours() {
+    let mut texels_of_all = [0usize; 4];
+    for (scene, views) in [
+        (room(5), random_views(300, 7000, FRAC_PI_2, 51)),
+        (room(6), random_views(40, 9000, PI, 52)),
+        (scattered(7, 3000, 3), random_views(500, 3000, 0.7, 53)),
+        (scattered(3, 40, 3), random_views(200, 20_000, 1.2, 54)),
+    ] {
+        for (sharing, half_depths) in
+            [(Sharing::Voxel, false), (Sharing::None, false), (Sharing::Voxel, true)]
+        {
+            let settings = ViewSettings { with_colors: true, half_depths, ..ViewSettings::default() };
+            let expected = draw(&scene, sharing, &views, &settings);
+            let stages = gpu::MegaViewsGpu::on_twins(&scene).unwrap().with_sharing(sharing);
+            let found = stages.render_views(&views, &settings).unwrap();
+            let count = texel_count(settings.resolution);
+            for view in 0..views.len() {
+                let [a, b] = [&found, &expected].map(|maps| maps.map_of()[view] as usize);
+                for t in 0..count {
+                    let (depth, color) = (found.depth(a, t), found.colors()[a * count + t]);
+                    let (other_depth, other) = (expected.depth(b, t), expected.colors()[b * count + t]);
+                    let close = depth == other_depth || (depth - other_depth).abs() <= 1e-5 * other_depth;
+                    texels_of_all[0] += 1;
+                    texels_of_all[1] += usize::from(depth.is_finite());
+                    texels_of_all[2] += usize::from(!close);
+                    texels_of_all[3] += usize::from(color != other);
+                }
+            }
+        }
+    }
+    let [all, filled, far, colored] = texels_of_all;
+    assert!(filled > all / 10, "{filled} of {all} show something");
+    assert!(
+        far * 10_000 < all && colored * 10_000 < all,
+        "{far} depths and {colored} colours of {all} differ"
+    );
+}
+
 #[test]
 fn one_voxel_is_seen_where_it_is() {
     let scene = scene_of(6, [[40, 32, 32]]);

@@ -98,9 +98,9 @@ impl<'a> ManyLodsDevice<'a> {
             near_capacity: params.near,
             half_depths: 0,
             slices: texels.div_ceil(MAP_SLICE),
-            reserved_a: 0,
-            reserved_b: 0,
-            reserved_c: 0,
+            with_numbers: 0,
+            draws_numbers: 0,
+            reserved: 0,
         }];
         let mut head = [0u32; tree::WORDS];
         head[tree::NODES] = count;

@@ -6,18 +6,21 @@
 //! A pass for which there was too little room says so and draws nothing that could be taken for a map: the run is drawn
 //! again in parts.
 
+mod recordings;
+
 use crate::constants::{SCAN_CHUNK, SORT_CHUNK};
 use crate::device::DeviceError;
 use crate::executor::{Binding, BufferId, Executor, Recording};
 use crate::mega_views::{
-    LevelParams, MOST_SHARED, MOST_TREE_LEVELS, PAIR_WHOLE, PassParams, SORT_DIGITS, ScanParams, SceneParams,
-    SortParams, ViewCone, counter, tree,
+    LevelParams, MOST_TREE_LEVELS, PAIR_WHOLE, PassParams, SORT_DIGITS, ScanParams, SceneParams, SortParams,
+    ViewCone, counter, tree,
 };
 use crate::paraboloid::texel_count;
 use crate::scene_tree::SceneTree;
 use crate::stages;
 use crate::views::ViewNode;
 use bytemuck::Pod;
+use recordings::{first_node, most_levels};
 use std::collections::BTreeMap;
 use std::time::{Duration, Instant};
 
@@ -34,6 +37,8 @@ pub struct MegaViewsSettings {
     pub sharing: bool,
     /// Pack depths as 16-bit floats.
     pub half_depths: bool,
+    /// Also find the scene node that each texel shows, which walks both hierarchies twice.
+    pub with_numbers: bool,
 }
 
 /// What a pass has room for.
@@ -65,6 +70,9 @@ pub struct PassMaps {
     pub level_starts: Vec<u32>,
     /// Maps of the leaves, in the order of [`PassMaps::nodes`]: floats of 32 bits, or two of 16 in a word.
     pub depths: Vec<u32>,
+    /// For each texel of these maps the number of the scene node that it shows
+    /// ([`NodeRef`](crate::scene_tree::NodeRef)), or [`NO_NUMBER`](crate::mega_views::NO_NUMBER). Empty unless wanted.
+    pub numbers: Vec<u32>,
     /// Most pairs in the queue, and pairs of two leaves.
     pub pairs: [u32; 2],
 }
@@ -313,10 +321,13 @@ impl<'a> MegaViewsDevice<'a> {
         room: Room,
     ) -> Result<PassResult, DeviceError> {
         let texels = texel_count(settings.resolution) as u32;
-        let map_words = if settings.half_depths { texels / 2 } else { texels };
+        let number_words = if settings.with_numbers { texels } else { 0 };
+        let depth_words = if settings.half_depths { texels / 2 } else { texels };
+        let packed_words = depth_words + number_words;
         let leaves = room.nodes.min(count);
         for (what, bytes) in [
             ("pass parameters", 64),
+            ("parameters of numbers", 64),
             ("view hierarchy", 4 * tree::WORDS as u64),
             ("ranges", 8 * u64::from(room.nodes)),
             ("sums of chunks", 8 * u64::from(room.nodes)),
@@ -328,12 +339,12 @@ impl<'a> MegaViewsDevice<'a> {
             ("pairs", 8 * u64::from(room.pairs)),
             ("queued pairs", 8 * u64::from(room.pairs)),
             ("near pairs", 8 * u64::from(room.near)),
-            ("maps", 4 * u64::from(texels) * u64::from(room.nodes)),
-            ("leaf maps", 4 * u64::from(map_words) * u64::from(leaves)),
+            ("maps", 4 * u64::from(texels + number_words) * u64::from(room.nodes)),
+            ("leaf maps", 4 * u64::from(packed_words) * u64::from(leaves)),
         ] {
             self.keep(what, bytes)?;
         }
-        let params = [PassParams {
+        let params = PassParams {
             resolution: settings.resolution,
             texels,
             scale: settings.resolution as f32 / settings.texels,
@@ -348,16 +359,19 @@ impl<'a> MegaViewsDevice<'a> {
             near_capacity: room.near,
             half_depths: u32::from(settings.half_depths),
             slices: texels.div_ceil(crate::constants::MAP_SLICE),
-            reserved_a: 0,
-            reserved_b: 0,
-            reserved_c: 0,
-        }];
-        let head = first_node(params[0].slices);
+            with_numbers: u32::from(settings.with_numbers),
+            draws_numbers: 0,
+            reserved: 0,
+        };
+        let of_numbers = [PassParams { draws_numbers: 1, ..params }];
+        let head = first_node(params.slices);
+        let params = [params];
         let (whole_run, root_pair) = ([[0, count]], [[0, PAIR_WHOLE]]);
         let mut first_counters = [0u32; counter::WORDS];
         first_counters[counter::QUEUED] = 1;
         let mut uploads = Recording::new();
         uploads.upload(self.kept("pass parameters"), &params);
+        uploads.upload(self.kept("parameters of numbers"), &of_numbers);
         uploads.upload(self.kept("view hierarchy"), &head);
         uploads.upload(self.kept("ranges"), &whole_run);
         uploads.upload(self.kept("pairs"), &root_pair);
@@ -366,7 +380,7 @@ impl<'a> MegaViewsDevice<'a> {
         let levels = most_levels(count, settings.sharing);
         let mut parts = vec![("upload", uploads)];
         parts.extend(self.record_hierarchy(levels));
-        parts.extend(self.record_traversal(levels + self.scene.depth as usize));
+        parts.extend(self.record_traversal(levels + self.scene.depth as usize, settings.with_numbers));
         parts.extend(self.record_maps(levels));
         if self.timings.is_none() {
             // Everything at once.
@@ -384,12 +398,13 @@ impl<'a> MegaViewsDevice<'a> {
             return Err(DeviceError::Failed("MegaViews came to no end; please report this".to_owned()));
         }
         let nodes = self.download(self.kept("view nodes"), head[tree::NODES] as usize)?;
-        let words = head[tree::LEAVES] as usize * map_words as usize;
-        let depths = self.download(self.kept("leaf maps"), words)?;
+        let maps = head[tree::LEAVES] as usize;
+        let mut depths: Vec<u32> = self.download(self.kept("leaf maps"), maps * packed_words as usize)?;
+        let numbers = depths.split_off(maps * depth_words as usize);
         let mut level_starts = head[tree::STARTS..=tree::STARTS + levels].to_vec();
         level_starts.dedup();
         let pairs = [counters[counter::MOST], counters[counter::NEAR]];
-        Ok(PassResult::Maps(PassMaps { nodes, level_starts, depths, pairs }))
+        Ok(PassResult::Maps(PassMaps { nodes, level_starts, depths, numbers, pairs }))
     }
 
     fn run_together(&mut self, parts: Vec<(&'static str, Recording<'_>)>) -> Result<(), DeviceError> {
@@ -400,120 +415,10 @@ impl<'a> MegaViewsDevice<'a> {
         self.executor.run(&whole)?;
         Ok(())
     }
-
-    fn record_hierarchy(&self, levels: usize) -> [(&'static str, Recording<'static>); 2] {
-        let [scene, pass, head, keys, ranges, sums, nodes, links, views, boxes] = self.bindings([
-            "scene parameters",
-            "pass parameters",
-            "view hierarchy",
-            "sorted keys",
-            "ranges",
-            "sums of chunks",
-            "view nodes",
-            "links",
-            "sorted views",
-            "boxes",
-        ]);
-        let arguments = self.kept("view hierarchy");
-        let at = |level: usize| (tree::ARGUMENTS + level * tree::LEVEL_ARGUMENTS) as u32;
-        let mut cut = Recording::new();
-        for level in 0..levels {
-            let bindings = [scene, pass, head, keys, ranges, sums];
-            cut.dispatch_indirect(&stages::tree_count, arguments, at(level), &bindings);
-            cut.dispatch(&stages::tree_scan, [1; 3], &[pass, head, sums]);
-            let bindings = [scene, pass, head, keys, sums, ranges, nodes, links];
-            cut.dispatch_indirect(&stages::tree_emit, arguments, at(level), &bindings);
-        }
-        let mut merge = Recording::new();
-        for level in (0..levels).rev() {
-            let bindings = [pass, self.levels[level].into(), head, views, nodes, boxes];
-            merge.dispatch_indirect(&stages::tree_merge, arguments, at(level) + 3, &bindings);
-        }
-        [("cut views", cut), ("merge views", merge)]
-    }
-
-    fn record_traversal(&self, steps: usize) -> [(&'static str, Recording<'static>); 3] {
-        let [scene, pass, head, links, places, nodes, counters, near, maps] = self.bindings([
-            "scene parameters",
-            "pass parameters",
-            "view hierarchy",
-            "scene nodes",
-            "scene places",
-            "view nodes",
-            "counters",
-            "near pairs",
-            "maps",
-        ]);
-        let mut queues: [Binding; 2] = self.bindings(["pairs", "queued pairs"]);
-        let arguments = self.kept("arguments");
-        let mut clear = Recording::new();
-        let of_nodes = tree::NODE_ARGUMENTS as u32;
-        clear.dispatch_indirect(
-            &stages::maps_clear,
-            self.kept("view hierarchy"),
-            of_nodes,
-            &[pass, head, maps],
-        );
-        let mut walk = Recording::new();
-        let prepare = [pass, head, counters, arguments.into()];
-        for _ in 0..steps {
-            walk.dispatch(&stages::pairs_prepare, [1; 3], &prepare);
-            let bindings = [scene, pass, links, places, nodes, queues[0], counters, queues[1], near, maps];
-            walk.dispatch_indirect(&stages::pairs_step, arguments, 0, &bindings);
-            queues.swap(0, 1);
-        }
-        walk.dispatch(&stages::pairs_prepare, [1; 3], &prepare);
-        let mut leaves = Recording::new();
-        let bindings = [scene, pass, places, nodes, counters, near, maps];
-        leaves.dispatch_indirect(&stages::pairs_near, arguments, 3, &bindings);
-        [("clear maps", clear), ("traverse", walk), ("near leaves", leaves)]
-    }
-
-    fn record_maps(&self, levels: usize) -> [(&'static str, Recording<'static>); 2] {
-        let [pass, head, nodes, links, maps, packed] =
-            self.bindings(["pass parameters", "view hierarchy", "view nodes", "links", "maps", "leaf maps"]);
-        let arguments = self.kept("view hierarchy");
-        let mut fuse = Recording::new();
-        for level in 1..levels {
-            let at = (tree::ARGUMENTS + level * tree::LEVEL_ARGUMENTS + 6) as u32;
-            let bindings = [pass, self.levels[level].into(), head, nodes, links, maps];
-            fuse.dispatch_indirect(&stages::maps_fuse, arguments, at, &bindings);
-        }
-        let mut pack = Recording::new();
-        let bindings = [pass, head, links, maps, packed];
-        pack.dispatch_indirect(&stages::maps_pack, arguments, tree::LEAF_ARGUMENTS as u32, &bindings);
-        [("fuse", fuse), ("pack", pack)]
-    }
 }
 
 /// Invocations that share a near pair where that is not too few.
 const NEAR_LANES: u32 = 8;
-
-/// Most levels that the hierarchy over so many views can have: one for each octal digit, then eighths of views in one
-/// place, and the leaves.
-fn most_levels(views: u32, sharing: bool) -> usize {
-    let mut eighths = 0;
-    let mut views = if sharing { views.div_ceil(MOST_SHARED) } else { views };
-    while views > 1 {
-        views = views.div_ceil(8);
-        eighths += 1;
-    }
-    (crate::mega_views::KEY_LEVELS as usize + eighths + 1).min(MOST_TREE_LEVELS)
-}
-
-/// The buffer `view hierarchy` with a root that is to be cut.
-fn first_node(slices: u32) -> [u32; tree::WORDS] {
-    let mut words = [0; tree::WORDS];
-    words[tree::NODES] = 1;
-    words[tree::STARTS + 1] = 1;
-    for at in [tree::ARGUMENTS, tree::ARGUMENTS + 3] {
-        words[at..at + 3].fill(1);
-    }
-    for at in [tree::ARGUMENTS + 6, tree::NODE_ARGUMENTS] {
-        words[at..at + 3].copy_from_slice(&[1, 1, slices]);
-    }
-    words
-}
 
 fn grid(groups: u32) -> [u32; 3] {
     let most = crate::constants::MAX_WORKGROUPS;

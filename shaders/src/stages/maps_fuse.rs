@@ -15,12 +15,18 @@ pub(super) fn twin(workgroups: [u32; 3], bindings: &mut [CpuBinding]) {
         let (node, parent) = (node as usize, links.words()[node as usize] as usize);
         let offset = [0, 1, 2].map(|i| nodes[node].center[i] - nodes[parent].center[i]);
         for texel in 0..pass.texels {
-            let depth = f32::from_bits(maps[parent * pass.texels as usize + texel as usize]);
+            let [parent_at, at] = [parent, node].map(|node| node * pass.texels as usize + texel as usize);
+            let depth = f32::from_bits(maps[parent_at]);
             if depth < f32::INFINITY {
                 let direction = texel_direction(texel, pass.resolution);
                 let moved = [0, 1, 2].map(|i| direction[i] * depth - offset[i]);
-                let own = &mut maps[node * pass.texels as usize + texel as usize];
-                *own = (*own).min(dot(moved, moved).sqrt().to_bits());
+                let bits = dot(moved, moved).sqrt().to_bits();
+                if bits < maps[at] {
+                    maps[at] = bits;
+                    if pass.with_numbers == 1 {
+                        maps[pass.number_at(at)] = maps[pass.number_at(parent_at)];
+                    }
+                }
             }
         }
     }

@@ -27,8 +27,7 @@ pub(super) fn twin(workgroups: [u32; 3], bindings: &mut [CpuBinding]) {
             scene.origin[i] + (cell as f32 + 0.5) * edge - views[view as usize].center[i]
         });
         let mut keep = |index: u32, distance: f32| {
-            let kept = &mut maps[(view * pass.texels + index) as usize];
-            *kept = (*kept).min(distance.to_bits());
+            super::lib_keep::keep(&pass, maps, [view, index], distance, leaf);
         };
         let length = dot(offset, offset).sqrt();
         if length <= 0.0 {

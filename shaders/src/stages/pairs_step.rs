@@ -1,3 +1,4 @@
+use super::lib_keep::keep;
 use super::lib_view_tree::flat_groups;
 use crate::executor::CpuBinding;
 use crate::mega_views::{PAIR_SPLITS_VIEWS, PAIR_WHOLE, PassParams, SceneParams, counter};
@@ -45,12 +46,11 @@ impl Step<'_> {
         Place { node, cell, level: self.scene.depth }
     }
 
-    fn draw_point(&mut self, map: u32, offset: [f32; 3]) {
+    fn draw_point(&mut self, map: u32, offset: [f32; 3], node: NodeRef) {
         let length = dot(offset, offset).sqrt();
         if length > 0.0 {
-            let at = map * self.pass.texels + texel(offset, length, self.pass.resolution);
-            let kept = &mut self.maps[at as usize];
-            *kept = (*kept).min(length.to_bits());
+            let texel = texel(offset, length, self.pass.resolution);
+            keep(&self.pass, self.maps, [map, texel], length, node.0);
         }
     }
 
@@ -69,7 +69,7 @@ impl Step<'_> {
                     let mean = self.node(node.0).mean();
                     at = [0, 1, 2].map(|i| self.scene.origin[i] + mean[i] * edge - view.center[i]);
                 }
-                self.draw_point(view_index, at);
+                self.draw_point(view_index, at, node);
                 Task::Done
             }
             PairStep::Near if offset.iter().all(|c| c.abs() <= edge * 0.5) => Task::Done,
