@@ -24,6 +24,7 @@ use crate::simd::SimdLevel;
 use crate::views::splat::TexelDirections;
 use crate::views::{Depths, PassSink, View, ViewError, ViewMaps, ViewRenderer, ViewSettings};
 use half::f16;
+use manyview_shaders::mega_views::NO_NUMBER;
 use manyview_shaders::paraboloid::texel_count;
 use manyview_shaders::scene_tree::{NodeRef, SceneTree};
 use std::ops::Range;
@@ -223,7 +224,7 @@ impl MegaViews {
     fn pass(&self, frame: &Frame<'_>, leaves: &[u32], first: usize) -> ViewMaps {
         let Frame { tree, order, settings, texels, counters } = *frame;
         let count = leaves.len() * texel_count(settings.resolution);
-        let mut nodes = vec![u32::MAX; if settings.with_colors { count } else { 0 }];
+        let mut nodes = vec![NO_NUMBER; if settings.with_colors { count } else { 0 }];
         let run = first..first + leaves.len();
         let traversal = self.traversal(tree, settings, texels, counters, run);
         let depths = if settings.half_depths {
@@ -235,11 +236,7 @@ impl MegaViews {
             traversal.run(Output { depths: DepthsMut::Full(&mut depths), nodes: &mut nodes });
             Depths::Full(depths)
         };
-        let color = |&node: &u32| match node {
-            u32::MAX => [0; 4],
-            node => self.scene.colors[self.scene.color_index(NodeRef(node))],
-        };
-        let colors = nodes.iter().map(color).collect();
+        let colors = colors(&self.scene, &nodes);
         let (mut views, mut map_of) = (Vec::new(), Vec::new());
         let mut centers = Vec::with_capacity(leaves.len());
         for &leaf in leaves {
@@ -250,6 +247,15 @@ impl MegaViews {
         }
         ViewMaps::from_parts(settings.resolution, views, map_of, centers, depths, colors)
     }
+}
+
+/// The colours of scene nodes that texels show.
+fn colors(scene: &SceneTree, numbers: &[u32]) -> Vec<[u8; 4]> {
+    let color = |&number: &u32| match number {
+        NO_NUMBER => [0; 4],
+        number => scene.colors[scene.color_index(NodeRef(number))],
+    };
+    numbers.iter().map(color).collect()
 }
 
 /// Indices of the leaves, which have the maps, in the order of a walk depth first.

@@ -74,14 +74,7 @@ fn views(count: usize, seed: u64) -> Vec<View> {
     views
 }
 
-const SETTINGS: MegaViewsSettings = MegaViewsSettings {
-    resolution: 16,
-    texels: 1.0,
-    culling: true,
-    sharing: true,
-    half_depths: false,
-    with_numbers: false,
-};
+const SETTINGS: MegaViewsSettings = MegaViewsSettings::new(16);
 const ROOM: Room = Room { nodes: 8000, pairs: 1 << 20, near: 1 << 20 };
 
 fn draw(

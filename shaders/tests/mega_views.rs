@@ -11,14 +11,7 @@ use manyview_shaders::scene_tree::{NodeRef, SPHERE_OF_CUBE, SceneTree};
 use manyview_shaders::svo::Svo;
 use manyview_shaders::views::{PairStep, View, ViewNode, pair_step};
 
-const SETTINGS: MegaViewsSettings = MegaViewsSettings {
-    resolution: 16,
-    texels: 1.0,
-    culling: true,
-    sharing: true,
-    half_depths: false,
-    with_numbers: false,
-};
+const SETTINGS: MegaViewsSettings = MegaViewsSettings::new(16);
 const ROOM: Room = Room { nodes: 3000, pairs: 200_000, near: 100_000 };
 
 /// The octree of some voxels over a cube of edge 8 around the origin.

@@ -12,15 +12,16 @@
 //! \[MV\] §3.5 starts its passes from the children of the view root. Here a pass is any run of sorted views, with a hierarchy
 //! of its own, so that passes are as large as there is room for.
 
+use super::colors;
 use super::view_tree::Sharing;
 use crate::gpu::{GpuContext, WgpuExecutor};
 use crate::views::{Depths, PassSink, View, ViewError, ViewMaps, ViewRenderer, ViewSettings};
 use half::f16;
 use manyview_shaders::executor::{CpuExecutor, Executor, ExecutorLimits};
 use manyview_shaders::jobs::mega_views::{MegaViewsDevice, MegaViewsSettings, PassMaps, PassResult, Room};
-use manyview_shaders::mega_views::{NO_NUMBER, ViewCone};
+use manyview_shaders::mega_views::ViewCone;
 use manyview_shaders::paraboloid::texel_count;
-use manyview_shaders::scene_tree::{NodeRef, SceneTree};
+use manyview_shaders::scene_tree::SceneTree;
 use std::sync::{Mutex, PoisonError};
 use std::time::Duration;
 
@@ -229,14 +230,6 @@ fn depths(words: &[u32], half: bool) -> Depths {
     } else {
         Depths::Full(words.iter().map(|&word| f32::from_bits(word)).collect())
     }
-}
-
-fn colors(scene: &SceneTree, numbers: &[u32]) -> Vec<[u8; 4]> {
-    let color = |&number: &u32| match number {
-        NO_NUMBER => [0; 4],
-        number => scene.colors[scene.color_index(NodeRef(number))],
-    };
-    numbers.iter().map(color).collect()
 }
 
 #[cfg(test)]

@@ -18,6 +18,7 @@ use super::view_tree::ViewTree;
 use crate::simd::{SimdLevel, dispatched, prefetch};
 use crate::views::splat::{Canvas, TexelDirections};
 use half::f16;
+use manyview_shaders::mega_views::NO_NUMBER;
 use manyview_shaders::paraboloid::texel_count;
 use manyview_shaders::scene_tree::{NodeRef, SPHERE_OF_CUBE, SceneTree};
 use manyview_shaders::views::{PARALLAX, ViewNode, splits_views};
@@ -181,7 +182,7 @@ impl Traversal<'_> {
         level.depths.clear();
         level.depths.resize(count, f32::INFINITY);
         level.nodes.clear();
-        level.nodes.resize(if self.with_nodes { count } else { 0 }, u32::MAX);
+        level.nodes.resize(if self.with_nodes { count } else { 0 }, NO_NUMBER);
         level.passed_down.clear();
         (level.points, level.near_leaves) = (0, 0);
         let clock = Instant::now();

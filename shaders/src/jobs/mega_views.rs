@@ -41,6 +41,20 @@ pub struct MegaViewsSettings {
     pub with_numbers: bool,
 }
 
+impl MegaViewsSettings {
+    /// As the paper has them: maps of so many texels a side, depths alone.
+    pub const fn new(resolution: u32) -> Self {
+        Self {
+            resolution,
+            texels: 1.0,
+            culling: true,
+            sharing: true,
+            half_depths: false,
+            with_numbers: false,
+        }
+    }
+}
+
 /// What a pass has room for.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub struct Room {

@@ -1,6 +1,6 @@
 //! \[MV\] §3.4: what fusion is worth. Single texels of random views, asked from fused maps and without fusion.
 
-use super::views::{ViewKind, ViewSubject, ViewTableSettings};
+use super::views::{ViewKind, ViewSubject, ViewTableSettings, failed, rows_of_kinds};
 use crate::bench::{BenchError, Cell, Random, Table};
 use crate::megaviews::MegaViews;
 use crate::views::{View, ViewError, ViewRenderer};
@@ -37,23 +37,12 @@ pub fn view_queries(
     ];
     let mut table = Table::new(format!("views-queries-{}", subject.name), title, &columns);
     let mega_views = MegaViews::new(Arc::new(SceneTree::new(&subject.svo, false)));
-    progress.begin("queries", (kinds.len() * counts.len()) as u64, "measurements");
-    for kind in kinds {
-        for &count in counts {
-            if progress.cancelled() {
-                return Err(BenchError::Cancelled);
-            }
-            let views = (kind.make)(count);
-            let head = [kind.name.as_str().into(), Cell::Count(views.len() as u64)];
-            let cells = match queried(&mega_views, &views, settings) {
-                Ok(cells) => cells,
-                Err(ViewError::Budget { .. }) => vec![Cell::None; columns.len() - head.len()],
-                Err(source) => return Err(BenchError::Views { method: "megaviews".to_owned(), source }),
-            };
-            table.push([&head[..], &cells].concat());
-            progress.advance(1);
+    table.rows = rows_of_kinds(kinds, counts, "queries", progress, |views| {
+        match queried(&mega_views, views, settings) {
+            Err(ViewError::Budget { .. }) => Ok(vec![Cell::None; columns.len() - 2]),
+            cells => cells.map_err(|source| failed("megaviews", source)),
         }
-    }
+    })?;
     Ok(table)
 }
 

@@ -173,7 +173,31 @@ fn step(
     drawn.map_err(|source| failed(name, source))
 }
 
-fn failed(method: &str, source: ViewError) -> BenchError {
+/// A row for each kind and number of views: its name, how many there are, then what `measure` says of them.
+pub(super) fn rows_of_kinds(
+    kinds: &[ViewKind<'_>],
+    counts: &[u32],
+    what: &'static str,
+    progress: &dyn Progress,
+    mut measure: impl FnMut(&[View]) -> Result<Vec<Cell>, BenchError>,
+) -> Result<Vec<Vec<Cell>>, BenchError> {
+    let mut rows = Vec::new();
+    progress.begin(what, (kinds.len() * counts.len()) as u64, "measurements");
+    for kind in kinds {
+        for &count in counts {
+            if progress.cancelled() {
+                return Err(BenchError::Cancelled);
+            }
+            let views = (kind.make)(count);
+            let head = [kind.name.as_str().into(), Cell::Count(views.len() as u64)];
+            rows.push([&head[..], &measure(&views)?].concat());
+            progress.advance(1);
+        }
+    }
+    Ok(rows)
+}
+
+pub(super) fn failed(method: &str, source: ViewError) -> BenchError {
     match source {
         ViewError::Cancelled => BenchError::Cancelled,
         source => BenchError::Views { method: method.to_owned(), source },
