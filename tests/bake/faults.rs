@@ -114,3 +114,70 @@ fn a_scene_that_changes_is_baked_as_one_version_or_refused() {
         assert!(!work.names().iter().any(|name| name.ends_with(".mvpart")));
     }
 }
+
+/// A file system of its own for a script, which alone sees it; `None` where that is not allowed. The script finds it as
+/// the folder `disk`, of `size` until it calls `grow`.
+#[cfg(target_os = "linux")]
+fn on_a_small_disk(work: &Workplace, size: &str, script: &str) -> Option<Run> {
+    fs_err::create_dir_all(work.path("disk")).unwrap();
+    let script = format!(
+        "mount -t tmpfs -o size={size} tmpfs disk || exit 99
+         grow() {{ mount -o remount,size=64m disk; }}
+         bake() {{ '{}' bake scene.glb {} \"$@\"; }}
+         {script}",
+        env!("CARGO_BIN_EXE_manyview"),
+        SMALL.join(" "),
+    );
+    let mut command = std::process::Command::new("unshare");
+    command.args(["--map-root-user", "--mount", "sh", "-c", &script]).current_dir(work.folder());
+    let run = Run::of(command.env("MANYVIEW_CACHE", ""));
+    let is_allowed = run.code != Some(99) && !run.stderr.starts_with("unshare:");
+    if !is_allowed {
+        eprintln!("no small disk can be mounted: nothing is tested\n{}", run.stderr);
+    }
+    is_allowed.then_some(run)
+}
+
+#[cfg(target_os = "linux")]
+#[test]
+fn a_disk_that_fills_up_keeps_the_older_archive() {
+    let work = Workplace::new();
+    work.write("scene.glb", &park(1));
+    let expected = work.bake("scene.glb", "expected.mvb", &[]);
+    let pages = expected.len() / 4096;
+    assert!(pages > 3, "{pages} pages");
+    let script = "printf 'an older archive' > disk/out.mvb
+        bake -o disk/out.mvb 2> said; code=$?
+        cat disk/out.mvb > kept; ls -A disk > names
+        grow; bake -o disk/out.mvb > /dev/null; cat disk/out.mvb > again
+        exit $code";
+    for size in [2, pages / 2, pages] {
+        let Some(run) = on_a_small_disk(&work, &format!("{}k", size * 4), script) else { return };
+        let said = String::from_utf8(work.read("said")).unwrap();
+        assert_eq!(run.code, Some(3), "{said}");
+        assert!(said.contains("disk/out.mvb") && said.contains("free some space"), "{said}");
+        assert_eq!(work.read("kept"), b"an older archive");
+        assert_eq!(work.read("names"), b"out.mvb\n");
+        assert!(work.read("again") == expected);
+    }
+}
+
+#[cfg(target_os = "linux")]
+#[test]
+fn a_disk_that_fills_up_costs_the_cache_but_not_the_bake() {
+    let work = Workplace::new();
+    work.write("scene.glb", &park(1));
+    work.bake("scene.glb", "expected.mvb", &[]);
+    let script = format!(
+        "bake -o out.mvb --cache disk 2> said || exit 1
+         cmp out.mvb expected.mvb && '{0}' cache verify --cache disk || exit 1
+         grow; bake -o again.mvb --cache disk && cmp again.mvb expected.mvb && '{0}' cache verify --cache disk",
+        env!("CARGO_BIN_EXE_manyview")
+    );
+    for size in ["8k", "32k", "64k"] {
+        let Some(run) = on_a_small_disk(&work, size, &script) else { return };
+        assert_eq!(run.code, Some(0), "{size}: {}{}", run.stdout, run.stderr);
+        let said = String::from_utf8(work.read("said")).unwrap();
+        assert!(said.contains("stores nothing more"), "{size}: {said}");
+    }
+}
