@@ -49,8 +49,8 @@ fn some_octree(kind: u32, depth: usize, seed: u32) -> Vec<Vec<u8>> {
                 cell.iter().map(|c| (2 * c + 1).abs_diff(size).pow(2)).sum::<u32>().abs_diff(size * size)
                     < 4 * size
             }
-            4 => noise(seed ^ (x | y << 8 | z << 16)) % 50 == 0,
-            _ => noise(seed ^ (x | y << 8 | z << 16)) % 2 == 0,
+            4 => noise(seed ^ (x | y << 8 | z << 16)).is_multiple_of(50),
+            _ => noise(seed ^ (x | y << 8 | z << 16)).is_multiple_of(2),
         };
         of_kind || cell == chosen
     })
@@ -237,7 +237,8 @@ fn masks_without_a_whole_are_stored_themselves() {
 fn only_beginnings_of_masks_are_shared() {
     let (bytes, _) = cubes();
     let (payload, index) = disassemble(&bytes);
-    let changes: [(&str, &dyn Fn(&mut [ChunkRecord])); 6] = [
+    type Change<'a> = &'a dyn Fn(&mut [ChunkRecord]);
+    let changes: [(&str, Change); 6] = [
         ("chunk 2: corrupt archive: offset", &|chunks| chunks[2].offset += 16),
         ("chunk 2: corrupt archive: offset", &|chunks| chunks[2].offset -= 16),
         ("chunk 2: corrupt archive: offset", &|chunks| chunks[2].codec = Codec::Zstd),
