@@ -35,11 +35,17 @@ fn indexes() {
 fn chunks() {
     let content: Vec<u8> = (0..4096_u32).map(|i| if i % 97 == 0 { (i / 97) as u8 } else { 0 }).collect();
     let seed = |codec: u8, stored: &[u8]| [&[0, 16, 0, codec], stored].concat();
+    // A full cube.
+    let masks: Vec<Vec<u8>> = (0..4).map(|level| vec![0xff; 8usize.pow(level)]).collect();
+    let masks: Vec<&[u8]> = masks.iter().map(Vec::as_slice).collect();
+    let masks = CompressedChunk::compress_masks(&masks, 3);
+    let masks_seed = || [&masks[0].raw_bytes().to_le_bytes()[..3], &[3], masks[0].stored()].concat();
     let seeds = [
         seed(0, &content),
         seed(1, CompressedChunk::compress(&content, 3).stored()),
         seed(2, CompressedChunk::compress_rows(&content, 16).stored()),
         seed(10, &content),
+        masks_seed(),
     ];
     replay("archive_chunk", &seeds, 500, archive_chunk::check);
 }

@@ -46,7 +46,7 @@
 //! | 0 | 8 | magic: `89 4d 56 42 0d 0a 1a 0a` (`\x89MVB\r\n\x1a\n`) |
 //! | 8 | 4 | format version: 1 |
 //! | 12 | 4 | size of the index, at most 64 MiB |
-//! | 16 | 8 | offset of the index: the end of the last chunk, rounded up to a multiple of 16 (64 if there is no chunk) |
+//! | 16 | 8 | offset of the index: the end of the last chunk that shares no bytes, rounded up to a multiple of 16 (64 if there is no chunk) |
 //! | 24 | 8 | size of the file: offset + size of the index |
 //! | 32 | 32 | digest of the index |
 //!
@@ -75,11 +75,11 @@
 //!
 //! | offset | size | field |
 //! |---|---|---|
-//! | 0 | 8 | offset in the file: the end of the chunk before (of the header), rounded up to a multiple of 16 |
+//! | 0 | 8 | offset in the file: the end of the chunk before (of the header), rounded up to a multiple of 16. Or, both of codec 5, that of an earlier chunk, whose first bytes it shares |
 //! | 8 | 4 | stored size |
 //! | 12 | 4 | raw size, 1 to 4 MiB |
 //! | 16 | 32 | digest of the stored bytes |
-//! | 48 | 1 | codec: 0 raw (stored = raw size), 1 one zstd frame (stored < raw size), 4 rows in tiles ([`archive::tiles`]; stored < raw size); 2 and 3 are those of older versions. A reader that does not know a codec says so |
+//! | 48 | 1 | codec: 0 raw (stored = raw size), 1 one zstd frame (stored < raw size), 4 rows in tiles ([`archive::tiles`]; stored < raw size), 5 child masks ([`archive::mask_code`]; stored < raw size); 2 and 3 are those of older versions. A reader that does not know a codec says so |
 //! | 49 | 7 | reserved, 0 |
 //!
 //! The last 16 bytes, as rkyv writes two vectors:

@@ -15,7 +15,8 @@ pub(crate) fn check(data: &[u8]) {
         codec: match codec {
             0 => Codec::Raw,
             1 => Codec::Zstd,
-            _ => Codec::Rows,
+            2 => Codec::Rows,
+            _ => Codec::Masks,
         },
         stored_digest: Digest::of(stored),
     };
@@ -42,5 +43,29 @@ pub(crate) fn check(data: &[u8]) {
         let mut back = vec![0; stored.len()];
         decode_chunk(&record, chunk.stored(), &mut back).expect("what was compressed is decoded");
         assert_eq!(back, stored);
+    }
+    check_masks(stored);
+}
+
+/// Bytes as which of a cube's voxels are filled: all levels of its masks come back.
+fn check_masks(filled: &[u8]) {
+    let mut levels = Vec::new();
+    let mut masks = filled[..filled.len().min(1 << 12)].to_vec();
+    loop {
+        levels.push(masks.iter().copied().filter(|&mask| mask != 0).collect::<Vec<u8>>());
+        if masks.len() <= 1 {
+            break;
+        }
+        let above =
+            |masks: &[u8]| (0..).zip(masks).fold(0, |above, (i, &mask)| above | u8::from(mask != 0) << i);
+        masks = masks.chunks(8).map(above).collect();
+    }
+    levels.reverse();
+    if levels[0].is_empty() {
+        return;
+    }
+    let slices: Vec<&[u8]> = levels.iter().map(Vec::as_slice).collect();
+    for (level, chunk) in levels.iter().zip(CompressedChunk::compress_masks(&slices, 0)) {
+        assert_eq!(&chunk.content().expect("what was coded is decoded"), level);
     }
 }

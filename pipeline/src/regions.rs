@@ -429,7 +429,9 @@ impl Octree {
             (name::SVO_CONES, 5..6),
             (name::SVO_EMISSIVE, 6..10),
         ];
-        for level in 0..depth {
+        // The deepest masks first, of which those of the fine levels above are parts.
+        let fine = self.coarse.len() as u32..depth;
+        for level in (0..fine.start.min(depth)).chain(fine.rev()) {
             self.write_section(writer, spool, name::SVO_MASKS, level, 0..1, false)?;
         }
         for level in 0..=depth {

@@ -12,7 +12,7 @@ use std::sync::{Arc, Mutex, PoisonError};
 use std::thread::JoinHandle;
 
 /// Child masks and coverages of one brick of the octree.
-pub const SHAPES: Bucket = Bucket { name: "brick-shapes", version: 1 };
+pub const SHAPES: Bucket = Bucket { name: "brick-shapes", version: 2 };
 /// Colours, normals, cones and radiance of one brick.
 pub const LOOKS: Bucket = Bucket { name: "brick-looks", version: 1 };
 /// The surface points of a scene, by cells.

@@ -43,8 +43,7 @@ struct Sizes {
 }
 
 fn stored_bytes(archive: &Archive, section: &Section) -> u64 {
-    let chunks = &archive.container().chunks()[section.chunks.start as usize..section.chunks.end as usize];
-    chunks.iter().map(|chunk| u64::from(chunk.stored_bytes)).sum()
+    archive.container().stored_bytes(section)
 }
 
 /// The sizes of the sections that a filter lets through.

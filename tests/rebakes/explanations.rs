@@ -129,7 +129,7 @@ fn stat_counts_what_is_there() {
         stat["buckets"].as_array().unwrap().iter().map(|b| b["bucket"].as_str().unwrap()).collect();
     assert_eq!(
         names,
-        ["bakes-v1", "brick-looks-v1", "brick-shapes-v1", "frames-v1", "latest-v1", "points-v1", "rows-v2"]
+        ["bakes-v1", "brick-looks-v1", "brick-shapes-v2", "frames-v1", "latest-v1", "points-v1", "rows-v2"]
     );
     let in_bucket = |name: &&String| names.iter().any(|bucket| name.contains(&format!("/{bucket}/")));
     let files = bakes.work.names().iter().filter(in_bucket).count() as u64;

@@ -9,6 +9,7 @@ use zstd::bulk::{Compressor, Decompressor};
 
 use super::error::{ArchiveError, ArchiveErrorKind, corrupt, expect_equal};
 use super::format::{ChunkRecord, MAX_CHUNK_BYTES};
+use super::mask_code;
 use super::tiles;
 use super::writer::DEFAULT_LEVEL;
 use crate::digest::Digest;
@@ -24,6 +25,8 @@ pub enum Codec {
     /// In [tiles](super::tiles) of rows, each [coded](super::row_code) on its own. Before it there were 2 and 3, which
     /// nothing writes any more.
     Rows = 4,
+    /// An octree's child masks under [probabilities of their neighbours](super::mask_code).
+    Masks = 5,
 }
 
 impl Codec {
@@ -32,6 +35,7 @@ impl Codec {
             0 => Ok(Self::Raw),
             1 => Ok(Self::Zstd),
             4 => Ok(Self::Rows),
+            5 => Ok(Self::Masks),
             found => Err(ArchiveErrorKind::UnsupportedCodec { found }.into()),
         }
     }
@@ -94,6 +98,27 @@ impl CompressedChunk {
             Some((stored, digest, digests)) => Self::of_tiles(stored, raw.len(), digest, digests),
             None => Self::compress(raw, DEFAULT_LEVEL),
         }
+    }
+
+    /// Codes child masks: of a cube of an octree, all `levels` from its root on, of which those from `first` on become a
+    /// chunk each. The stored bytes of a level begin with those of the level above, and an archive has them once if the
+    /// deepest level is appended first. Where coding does not make all of them smaller, they are compressed as by
+    /// [`compress`](Self::compress).
+    ///
+    /// # Panics
+    /// Unless there are 1 to [`MAX_LEVELS`](mask_code::MAX_LEVELS) levels and one from `first` on, the first level has
+    /// one mask, each other as many as the one above has bits, and no mask is zero.
+    pub fn compress_masks(levels: &[&[u8]], first: usize) -> Vec<Self> {
+        let forms = mask_code::encode(levels, first);
+        let levels = &levels[first..];
+        if levels.iter().zip(&forms).any(|(raw, stored)| stored.len() >= raw.len()) {
+            return levels.iter().map(|raw| Self::compress(raw, DEFAULT_LEVEL)).collect();
+        }
+        let chunk = |(raw, stored): (&&[u8], Vec<u8>)| {
+            let stored_digest = Digest::of(&stored);
+            Self::of_stored(stored, raw.len() as u32, Codec::Masks, Digest::of(raw), stored_digest)
+        };
+        levels.iter().zip(forms).map(chunk).collect()
     }
 
     /// A chunk in tiles that are stored already.
@@ -193,6 +218,11 @@ impl CompressedChunk {
         self.raw_bytes
     }
 
+    /// The digest of the stored bytes.
+    pub(super) fn stored_digest(&self) -> Digest {
+        self.stored_digest
+    }
+
     /// The digest of the content.
     pub fn raw_digest(&self) -> Digest {
         self.raw_digest
@@ -248,6 +278,7 @@ pub(super) fn decode_chunk_into_zeros(
             expect_equal("content of the zstd frame", raw.len(), written)?;
         }
         Codec::Rows => tiles::decode_into_zeros(stored, raw)?,
+        Codec::Masks => mask_code::decode(stored, raw)?,
     }
     Ok(())
 }

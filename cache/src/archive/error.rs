@@ -191,7 +191,7 @@ impl fmt::Display for ArchiveErrorKind {
             Self::UnsupportedCodec { found } => {
                 write!(
                     f,
-                    "codec {found} is unknown to this program (it knows 0 raw, 1 zstd, 4 rows); update manyview"
+                    "codec {found} is unknown to this program (it knows 0 raw, 1 zstd, 4 rows, 5 masks); update manyview"
                 )
             }
             Self::Corrupt { what, expected, found } => {

@@ -242,7 +242,7 @@ impl Header {
 pub struct Index {
     /// The sections, in the order of their chunks.
     pub sections: Vec<Section>,
-    /// The chunks, in the order of the file.
+    /// The chunks, in the order of the file, but for those that are the beginning of an earlier one.
     pub chunks: Vec<ChunkRecord>,
 }
 
@@ -341,13 +341,24 @@ impl Index {
     }
 }
 
-/// Checks the chunks, each of which must follow the one before.
+/// Checks the chunks, each of which must follow the one before or, of masks, be the beginning of an earlier one.
 fn decode_chunks(header: &Header, stored: &[ArchivedStoredChunk]) -> Result<Vec<ChunkRecord>, ArchiveError> {
     let mut chunks = Vec::with_capacity(stored.len());
     let mut end = HEADER_BYTES as u64;
+    // Start and end of the chunks of masks that follow the one before.
+    let mut masks: Vec<[u64; 2]> = Vec::new();
     for (number, chunk) in stored.iter().enumerate() {
-        let chunk = decode_chunk_record(chunk, end, header.index_offset).map_err(|e| e.in_chunk(number))?;
-        end = chunk.end();
+        let offset = chunk.offset.to_native();
+        let whole = masks.binary_search_by_key(&offset, |[start, _]| *start).ok().map(|at| masks[at]);
+        let whole = whole.filter(|_| chunk.codec == Codec::Masks as u8);
+        let [start, payload_end] = whole.unwrap_or([aligned(end), header.index_offset]);
+        let chunk = decode_chunk_record(chunk, start, payload_end).map_err(|e| e.in_chunk(number))?;
+        if whole.is_none() {
+            end = chunk.end();
+            if chunk.codec == Codec::Masks {
+                masks.push([chunk.offset, end]);
+            }
+        }
         chunks.push(chunk);
     }
     expect_equal("offset of the index", aligned(end), header.index_offset)?;
@@ -356,28 +367,32 @@ fn decode_chunks(header: &Header, stored: &[ArchivedStoredChunk]) -> Result<Vec<
 
 fn decode_chunk_record(
     stored: &ArchivedStoredChunk,
-    previous_end: u64,
+    start: u64,
     payload_end: u64,
 ) -> Result<ChunkRecord, ArchiveError> {
     let codec = Codec::from_stored(stored.codec)?;
     let offset = stored.offset.to_native();
     let stored_bytes = stored.stored_bytes.to_native();
     let raw_bytes = stored.raw_bytes.to_native();
-    expect_equal("offset", aligned(previous_end), offset)?;
+    expect_equal("offset", start, offset)?;
     if payload_end.checked_sub(offset).is_none_or(|available| u64::from(stored_bytes) > available) {
         let available = payload_end.saturating_sub(offset);
-        return Err(corrupt("stored size", format!("at most {available}, up to the index"), stored_bytes));
+        return Err(corrupt(
+            "stored size",
+            format!("at most {available}, up to the end of what holds it"),
+            stored_bytes,
+        ));
     }
     if raw_bytes == 0 || raw_bytes as usize > MAX_CHUNK_BYTES {
         return Err(corrupt("raw size", format!("1 to {MAX_CHUNK_BYTES}"), raw_bytes));
     }
     match codec {
         Codec::Raw => expect_equal("stored size of a raw chunk", raw_bytes, stored_bytes)?,
-        Codec::Zstd | Codec::Rows if stored_bytes == 0 || stored_bytes >= raw_bytes => {
+        Codec::Zstd | Codec::Rows | Codec::Masks if stored_bytes == 0 || stored_bytes >= raw_bytes => {
             let expected = format!("1 to {}, less than the raw size", raw_bytes - 1);
             return Err(corrupt("stored size of a compressed chunk", expected, stored_bytes));
         }
-        Codec::Zstd | Codec::Rows => {}
+        Codec::Zstd | Codec::Rows | Codec::Masks => {}
     }
     if stored.reserved != [0; 7] {
         return Err(corrupt("reserved bytes", "zeros", format!("{:?}", stored.reserved)));

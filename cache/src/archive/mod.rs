@@ -3,6 +3,7 @@
 mod chunk;
 mod error;
 mod format;
+pub mod mask_code;
 mod reader;
 pub mod row_code;
 pub mod row_model;

@@ -28,6 +28,8 @@ pub struct Archive {
     header: Header,
     index: Index,
     section_numbers: BTreeMap<SectionId, usize>,
+    /// Of each chunk, whether its stored bytes are the beginning of an earlier one.
+    is_shared: Vec<bool>,
     section_limit_bytes: u64,
 }
 
@@ -53,7 +55,14 @@ impl Archive {
         let section_numbers =
             index.sections.iter().enumerate().map(|(number, section)| (section.id, number)).collect();
         let section_limit_bytes = DEFAULT_SECTION_LIMIT_BYTES;
-        Ok(Self { source, name, header, index, section_numbers, section_limit_bytes })
+        let mut end = 0;
+        let is_shared = |chunk: &ChunkRecord| {
+            let is_shared = chunk.offset < end;
+            end = chunk.end().max(end);
+            is_shared
+        };
+        let is_shared = index.chunks.iter().map(is_shared).collect();
+        Ok(Self { source, name, header, index, section_numbers, is_shared, section_limit_bytes })
     }
 
     /// Sets the largest content that [`read_section`](Self::read_section) accepts (16 GiB unless set). A small file
@@ -82,6 +91,21 @@ impl Archive {
     /// The chunks of all sections, in the order of the file.
     pub fn chunks(&self) -> &[ChunkRecord] {
         &self.index.chunks
+    }
+
+    /// Whether the stored bytes of a chunk, by its number, are the beginning of those of an earlier one.
+    ///
+    /// # Panics
+    /// Where there is no such chunk.
+    pub fn is_shared(&self, number: u32) -> bool {
+        self.is_shared[number as usize]
+    }
+
+    /// The stored bytes of a section, without those that it shares with an earlier chunk.
+    pub fn stored_bytes(&self, section: &Section) -> u64 {
+        let range = section.chunk_range();
+        let chunks = self.index.chunks[range.clone()].iter().zip(&self.is_shared[range]);
+        chunks.filter(|(_, is_shared)| !**is_shared).map(|(chunk, _)| u64::from(chunk.stored_bytes)).sum()
     }
 
     /// The section `item` of a kind, if there is one.

@@ -70,8 +70,11 @@ impl Archive {
         raw.clear();
         raw.resize(record.raw_bytes as usize, 0);
         self.decode(record, raw)?;
-        let padding_end =
-            self.chunks().get(number + 1).map_or(self.header().index_offset, |next| next.offset);
+        if self.is_shared(number as u32) {
+            return Ok(Digest::of(raw));
+        }
+        let next = (number + 1..self.chunks().len()).find(|next| !self.is_shared(*next as u32));
+        let padding_end = next.map_or(self.header().index_offset, |next| self.chunks()[next].offset);
         // Less than the alignment, as the index was checked.
         let mut padding = [0; HEADER_BYTES];
         let padding = &mut padding[..(padding_end - record.end()) as usize];

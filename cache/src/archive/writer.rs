@@ -1,15 +1,16 @@
 //! Writing archives.
 
-use std::collections::BTreeSet;
+use std::collections::{BTreeMap, BTreeSet};
 use std::io::{Cursor, Seek, SeekFrom, Write};
 use std::path::{Path, PathBuf};
 
-use super::chunk::CompressedChunk;
+use super::chunk::{Codec, CompressedChunk};
 use super::error::{ArchiveError, ArchiveErrorKind, write_error};
 use super::format::{
-    ALIGNMENT, HEADER_BYTES, Header, Index, MAX_CHUNK_BYTES, Section, SectionId, SectionName, aligned,
-    section_digest,
+    ALIGNMENT, ChunkRecord, HEADER_BYTES, Header, Index, MAX_CHUNK_BYTES, Section, SectionId, SectionName,
+    aligned, section_digest,
 };
+use super::mask_code;
 use super::spool::ChunkSpool;
 use crate::atomic::AtomicFile;
 use crate::digest::Digest;
@@ -29,7 +30,7 @@ pub struct ArchiveStats {
     pub chunks: usize,
     /// The size of their content.
     pub raw_bytes: u64,
-    /// The size of their stored bytes, without padding.
+    /// The size of their stored bytes, without padding; what chunks share counts once.
     pub stored_bytes: u64,
     /// The size of the file.
     pub file_bytes: u64,
@@ -51,6 +52,10 @@ pub struct ArchiveWriter<W = AtomicFile> {
     position: u64,
     index: Index,
     section_ids: BTreeSet<SectionId>,
+    /// Where the forms are with which stored chunks of masks begin, by their digests.
+    masks: BTreeMap<Digest, u64>,
+    /// Stored bytes, counted once.
+    stored_bytes: u64,
     /// The digests of the content of the current section's chunks.
     raw_digests: Vec<Digest>,
 }
@@ -95,6 +100,8 @@ impl<W: Write + Seek> ArchiveWriter<W> {
             position: 0,
             index: Index { sections: Vec::new(), chunks: Vec::new() },
             section_ids: BTreeSet::new(),
+            masks: BTreeMap::new(),
+            stored_bytes: 0,
             raw_digests: Vec::new(),
         };
         // Its place; without the magic, so that an unfinished file is no archive.
@@ -131,14 +138,16 @@ impl<W: Write + Seek> ArchiveWriter<W> {
         Ok(())
     }
 
-    /// Appends a chunk to the current section.
+    /// Appends a chunk to the current section. Masks that an earlier chunk of masks begins with are not stored again.
     pub fn append(&mut self, chunk: &CompressedChunk) -> Result<(), ArchiveError> {
         if self.index.sections.is_empty() {
             return Err(self.not_expressible("a chunk needs a section: begin one first".to_owned()));
         }
-        self.pad()?;
-        let record = chunk.record_at(self.position);
-        self.write(chunk.stored())?;
+        let earlier = self.masks.get(&chunk.stored_digest()).filter(|_| chunk.codec() == Codec::Masks);
+        let record = match earlier {
+            Some(&offset) => chunk.record_at(offset),
+            None => self.store(chunk)?,
+        };
         self.index.chunks.push(record);
         self.raw_digests.push(chunk.raw_digest());
         let end = self.next_chunk()?;
@@ -147,6 +156,18 @@ impl<W: Write + Seek> ArchiveWriter<W> {
             section.raw_bytes += u64::from(chunk.raw_bytes());
         }
         Ok(())
+    }
+
+    fn store(&mut self, chunk: &CompressedChunk) -> Result<ChunkRecord, ArchiveError> {
+        self.pad()?;
+        let (stored, offset) = (chunk.stored(), self.position);
+        if chunk.codec() == Codec::Masks {
+            let ends = mask_code::ends(stored).into_iter();
+            self.masks.extend(ends.map(|end| (Digest::of(&stored[..end]), offset)));
+        }
+        self.write(stored)?;
+        self.stored_bytes += stored.len() as u64;
+        Ok(chunk.record_at(offset))
     }
 
     /// Cuts `raw` into chunks, compresses them in parallel, and appends them to the current section.
@@ -180,7 +201,7 @@ impl<W: Write + Seek> ArchiveWriter<W> {
             sections: self.index.sections.len(),
             chunks: self.index.chunks.len(),
             raw_bytes: self.index.sections.iter().map(|section| section.raw_bytes).sum(),
-            stored_bytes: self.index.chunks.iter().map(|chunk| u64::from(chunk.stored_bytes)).sum(),
+            stored_bytes: self.stored_bytes,
             file_bytes: self.position,
             index_digest: header.index_digest,
         })

@@ -15,7 +15,7 @@ pub const REGION_BITS: u32 = 8;
 pub const FINE_LEVELS: u32 = 3;
 
 /// Versions of the steps: bumped when their results change.
-const SHAPE_VERSION: u32 = 1;
+const SHAPE_VERSION: u32 = 2;
 const LOOK_VERSION: u32 = 1;
 
 /// Where bricks lie, and what all of them share.

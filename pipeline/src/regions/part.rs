@@ -108,7 +108,7 @@ pub(super) fn level_of(shape: &[Vec<u8>], look: &[Vec<u8>]) -> Option<SvoLevel> 
 /// Cuts a brick's levels into its two parts.
 pub(super) fn split(grid: RegionGrid, emits: bool, levels: &[SvoLevel]) -> [Part; 2] {
     let counts: Vec<u32> = levels.iter().map(|level| level.colors.len() as u32).collect();
-    let part = |planes_of: &(dyn Fn(&SvoLevel) -> Vec<Vec<u8>> + Sync), levels: &[SvoLevel]| {
+    let cut = |planes_of: &dyn Fn(&SvoLevel) -> Vec<Vec<u8>>, levels: &[SvoLevel]| {
         let mut coarse = Vec::new();
         let mut fine = Vec::new();
         for (local, level) in (0..).zip(levels) {
@@ -120,9 +120,23 @@ pub(super) fn split(grid: RegionGrid, emits: bool, levels: &[SvoLevel]) -> [Part
                 }
             }
         }
+        (coarse, fine)
+    };
+    let part = |(coarse, fine): (Vec<u8>, Vec<Vec<u8>>)| {
         let fine = fine.par_iter().map(|plane| CompressedChunk::compress_all(plane, DEFAULT_LEVEL)).collect();
         Part { counts: counts.clone(), coarse, fine }
     };
     let inner = &levels[..levels.len() - 1];
-    [part(&|level| shape_planes(level).to_vec(), inner), part(&|level| look_planes(level, emits), levels)]
+    let mut shape = cut(&|level| shape_planes(level).to_vec(), inner);
+    let masks: Vec<&[u8]> = inner.iter().map(|level| &level.child_masks[..]).collect();
+    let first = masks.len() - shape.1.len() / SHAPE_PLANES;
+    // They are coded together, as none has a place without those above.
+    shape.1.iter_mut().step_by(SHAPE_PLANES).for_each(|plane| *plane = Vec::new());
+    let mut shape = part(shape);
+    for (list, chunk) in
+        shape.fine.iter_mut().step_by(SHAPE_PLANES).zip(CompressedChunk::compress_masks(&masks, first))
+    {
+        *list = vec![chunk];
+    }
+    [shape, part(cut(&|level| look_planes(level, emits), levels))]
 }

@@ -1,6 +1,7 @@
 //! Tests of the container: what is written is what is read, as documented, and nothing else is accepted.
 
 mod hostile;
+mod masks;
 mod round_trip;
 
 use std::io::Cursor;
