@@ -6,7 +6,7 @@
 
 use crate::rows::RowsOptions;
 use manyview_shaders::directions::{
-    DirectionFrame, Fit, ROLLS, RowLattice, extents_along, rolled, rolled_to_fit,
+    DirectionFrame, Fit, GroupedBoxes, ROLLS, RowLattice, extents_along, rolled, rolled_to_fit,
 };
 use rayon::prelude::*;
 
@@ -14,21 +14,22 @@ type Box3 = [[i16; 3]; 2];
 
 /// The frame of every direction, fitted to boxes around the surface ([`crate::points::coarse_boxes`]).
 pub fn fit_frames(options: RowsOptions, lattice: &RowLattice, boxes: &[Box3]) -> Vec<DirectionFrame> {
-    (0..options.directions.count()).into_par_iter().map(|d| fit_frame(options, lattice, boxes, d)).collect()
+    let boxes = GroupedBoxes::new(boxes);
+    (0..options.directions.count()).into_par_iter().map(|d| fit_frame(options, lattice, &boxes, d)).collect()
 }
 
 /// The frame of one direction.
 pub(crate) fn fit_frame(
     options: RowsOptions,
     lattice: &RowLattice,
-    boxes: &[Box3],
+    boxes: &GroupedBoxes,
     direction: u32,
 ) -> DirectionFrame {
     let axes = match options.fit {
         Fit::Cube => options.directions.frame(direction),
         Fit::Extent => rolled_to_fit(options.directions.frame(direction), lattice, boxes),
     };
-    DirectionFrame::new(axes, lattice, options.fit, extents_along(axes, lattice, boxes))
+    DirectionFrame::new(axes, lattice, options.fit, boxes.extents_along(axes, lattice))
 }
 
 /// What [`fit_frames`] gives for `boxes`, from what it gave for `old_boxes`.
@@ -63,12 +64,13 @@ pub(crate) fn refit_frames(
         // Both uses of a pair of axes: u and v of every roll, and w.
         (0..ROLLS).all(|roll| is_inside(rolled(axes, roll))) && is_inside([axes[2], axes[2]])
     };
+    let boxes = GroupedBoxes::new(boxes);
     (0..options.directions.count())
         .into_par_iter()
         .zip(old_frames)
         .map(|(d, old)| {
             let is_kept = !outer.is_empty() && (changed.is_empty() || keeps(d));
-            if is_kept { *old } else { fit_frame(options, lattice, boxes, d) }
+            if is_kept { *old } else { fit_frame(options, lattice, &boxes, d) }
         })
         .collect()
 }

@@ -15,7 +15,7 @@ use crate::scene::Scene;
 use crate::triangles::{Cutouts, LatticeTriangles};
 use glam::DVec3;
 use manyview_cache::archive::{CompressedChunk, DEFAULT_LEVEL};
-use manyview_shaders::directions::{ROW_LATTICE, RowLattice};
+use manyview_shaders::directions::{GroupedBoxes, ROW_LATTICE, RowLattice};
 use std::ops::Range;
 use std::time::Instant;
 
@@ -197,6 +197,7 @@ pub(crate) fn rows(
     // Frames are fitted to boxes around the surface; the runs' are not as tight.
     let every = runs.runs.len().div_ceil(256).max(1);
     let boxes: Vec<_> = runs.runs.iter().step_by(every).map(|run| run.bounds.map(snap)).collect();
+    let boxes = GroupedBoxes::new(&boxes);
     let (bits, side) = (options.bits, 1u32 << options.bits);
     let windows: Vec<_> = (0..WINDOWS * WINDOWS)
         .map(|k| {

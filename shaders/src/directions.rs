@@ -261,19 +261,84 @@ pub fn extents_along<const N: usize>(
     boxes: &[[[i16; 3]; 2]],
 ) -> [[f64; 2]; N] {
     axes.map(|axis| {
-        let metres = [0, 1, 2].map(|i| axis[i] * lattice.half_extent[i] / f64::from(ROW_LATTICE));
-        let mut extent = [f64::INFINITY, f64::NEG_INFINITY];
-        for [min, max] in boxes {
-            let (mut lo, mut hi) = (0.0, 0.0);
-            for i in 0..3 {
-                let (a, b) = (metres[i] * f64::from(min[i]), metres[i] * f64::from(max[i]));
-                lo += a.min(b);
-                hi += a.max(b);
-            }
-            extent = [extent[0].min(lo), extent[1].max(hi)];
-        }
+        let metres = metres_along(axis, lattice);
+        let extent = boxes.iter().fold(NO_EXTENT, |extent, b| joined(extent, extent_of(b, metres)));
         if extent[0] > extent[1] { [0.0, 0.0] } else { extent }
     })
+}
+
+const NO_EXTENT: [f64; 2] = [f64::INFINITY, f64::NEG_INFINITY];
+
+/// Metres along an axis of one lattice step along x, y and z.
+fn metres_along(axis: [f64; 3], lattice: &RowLattice) -> [f64; 3] {
+    [0, 1, 2].map(|i| axis[i] * lattice.half_extent[i] / f64::from(ROW_LATTICE))
+}
+
+/// The extent of a box. Rounding keeps the order of numbers, so that a box within another never sticks out of it here.
+fn extent_of([min, max]: &[[i16; 3]; 2], metres: [f64; 3]) -> [f64; 2] {
+    let mut extent = [0.0; 2];
+    for i in 0..3 {
+        let (a, b) = (metres[i] * f64::from(min[i]), metres[i] * f64::from(max[i]));
+        extent = [extent[0] + a.min(b), extent[1] + a.max(b)];
+    }
+    extent
+}
+
+fn joined(a: [f64; 2], b: [f64; 2]) -> [f64; 2] {
+    [a[0].min(b[0]), a[1].max(b[1])]
+}
+
+/// Boxes in groups of neighbours. Most groups lie between others along any axis, and are not looked into.
+pub struct GroupedBoxes<'a> {
+    boxes: &'a [[[i16; 3]; 2]],
+    /// A box around each [`Self::GROUP`] of them.
+    groups: Vec<[[i16; 3]; 2]>,
+}
+
+impl<'a> GroupedBoxes<'a> {
+    const GROUP: usize = 16;
+
+    /// `boxes` as for [`extents_along`], in an order that keeps neighbours together.
+    pub fn new(boxes: &'a [[[i16; 3]; 2]]) -> Self {
+        let around = |group: &[[[i16; 3]; 2]]| {
+            group.iter().fold(group[0], |[lo, hi], [min, max]| {
+                [[0, 1, 2].map(|i| lo[i].min(min[i])), [0, 1, 2].map(|i| hi[i].max(max[i]))]
+            })
+        };
+        Self { boxes, groups: boxes.chunks(Self::GROUP).map(around).collect() }
+    }
+
+    /// What [`extents_along`] gives for all of the boxes, bit for bit.
+    pub fn extents_along<const N: usize>(&self, axes: [[f64; 3]; N], lattice: &RowLattice) -> [[f64; 2]; N] {
+        axes.map(|axis| {
+            let metres = metres_along(axis, lattice);
+            let mut outermost = [(f64::INFINITY, 0), (f64::NEG_INFINITY, 0)];
+            for (index, group) in self.groups.iter().enumerate() {
+                let [lo, hi] = extent_of(group, metres);
+                outermost = [
+                    if lo < outermost[0].0 { (lo, index) } else { outermost[0] },
+                    if hi > outermost[1].0 { (hi, index) } else { outermost[1] },
+                ];
+            }
+            let with_group = |extent, index: usize| {
+                let start = index * Self::GROUP;
+                let group = &self.boxes[start..(start + Self::GROUP).min(self.boxes.len())];
+                group.iter().fold(extent, |extent, b| joined(extent, extent_of(b, metres)))
+            };
+            if self.groups.is_empty() {
+                return [0.0; 2];
+            }
+            let mut extent =
+                outermost.iter().fold(NO_EXTENT, |extent, (_, index)| with_group(extent, *index));
+            for (index, group) in self.groups.iter().enumerate() {
+                let [lo, hi] = extent_of(group, metres);
+                if lo < extent[0] || hi > extent[1] {
+                    extent = with_group(extent, index);
+                }
+            }
+            extent
+        })
+    }
 }
 
 /// Rolls that [`rolled_to_fit`] tries within a quarter turn.
@@ -286,12 +351,12 @@ pub fn rolled([u, v, _]: [[f64; 3]; 3], roll: u32) -> [[f64; 3]; 2] {
 }
 
 /// `axes` turned about w so that the scene's extents along u and v enclose the smallest area: a long scene seen along
-/// its diagonal would else leave most rows empty. `boxes` as for [`extents_along`].
-pub fn rolled_to_fit(axes: [[f64; 3]; 3], lattice: &RowLattice, boxes: &[[[i16; 3]; 2]]) -> [[f64; 3]; 3] {
+/// its diagonal would else leave most rows empty.
+pub fn rolled_to_fit(axes: [[f64; 3]; 3], lattice: &RowLattice, boxes: &GroupedBoxes) -> [[f64; 3]; 3] {
     let mut best = (f64::INFINITY, axes);
     for roll in 0..ROLLS {
         let [u, v] = rolled(axes, roll);
-        let [[u_min, u_max], [v_min, v_max]] = extents_along([u, v], lattice, boxes);
+        let [[u_min, u_max], [v_min, v_max]] = boxes.extents_along([u, v], lattice);
         let area = (u_max - u_min) * (v_max - v_min);
         if area < best.0 {
             best = (area, [u, v, axes[2]]);
@@ -303,6 +368,28 @@ pub fn rolled_to_fit(axes: [[f64; 3]; 3], lattice: &RowLattice, boxes: &[[[i16; 
 #[cfg(test)]
 mod tests {
     use super::*;
+    use proptest::prelude::*;
+
+    proptest! {
+        #[test]
+        fn grouped_boxes_reach_as_far_bit_for_bit(
+            boxes in prop::collection::vec((prop::array::uniform3(-16384i16..16384), 0i16..9000), 0..200),
+            directions in prop::array::uniform3(0u32..8100),
+            size in prop::array::uniform3(0.0f64..50.0),
+        ) {
+            let around = |(p, size): ([i16; 3], i16)| [p, p.map(|c| c.saturating_add(size).min(16384))];
+            let boxes: Vec<_> = boxes.into_iter().map(around).collect();
+            let lattice = RowLattice::new([0.0; 3], size);
+            for direction in directions {
+                let axes = SETS[0].frame(direction);
+                let grouped = GroupedBoxes::new(&boxes).extents_along(axes, &lattice);
+                prop_assert_eq!(
+                    grouped.map(|e| e.map(f64::to_bits)),
+                    extents_along(axes, &lattice, &boxes).map(|e| e.map(f64::to_bits))
+                );
+            }
+        }
+    }
 
     const SETS: [DirectionSet; 4] = [
         DirectionSet::LatLong { thetas: 90, phis: 90 },
@@ -395,7 +482,7 @@ mod tests {
             let [u, v, _] = extents_along(axes, &lattice, &boxes);
             (u[1] - u[0]) * (v[1] - v[0])
         };
-        let rolled = rolled_to_fit(axes, &lattice, &boxes);
+        let rolled = rolled_to_fit(axes, &lattice, &GroupedBoxes::new(&boxes));
         assert!(area(rolled) < area(axes) / 10.0);
         assert_eq!(rolled[2], axes[2], "rows still run along the direction");
     }
