@@ -70,8 +70,8 @@ const USUAL_LEAF: sample::Sample = sample::Sample { bytes: 4.0, seconds: 0.5e-6 
 /// Pieces compress worse than what they are pieces of, and overlap less.
 const LARGE_LEAVES: f64 = 0.75;
 const LARGE_ROWS: f64 = 0.88;
-/// Bricks are joined and compressed beside what pieces take.
-const LARGE_SECONDS: f64 = 1.3;
+/// Threads wait for each other, for memory and for the disk: what all of them take, over what each takes of the pieces.
+const SHARED_SECONDS: f64 = 1.25;
 /// Of the limit, what is planned for; allocators keep some of what is given back.
 const PLANNED_PERCENT: u64 = 85;
 
@@ -198,6 +198,7 @@ impl Plan {
         let peak_bytes = (fixed + octree.max(points).max(writing)).max(importing);
         let least = fixed + (bytes.looks + coarse + largest).max(rows_least + coarse);
         let least_bytes = least / PLANNED_PERCENT * 100;
+        let shared = if threads > 1 { SHARED_SECONDS } else { 1.0 };
         let estimate = Estimate {
             triangles: scene.drawn_triangles(),
             leaves,
@@ -207,7 +208,7 @@ impl Plan {
             rows_raw_bytes: rows.raw_bytes,
             svo_bytes: octree_bytes,
             archive_bytes: octree_bytes + rows.stored_bytes,
-            seconds: (leaves as f64 * of_leaf.seconds * LARGE_SECONDS + rows.seconds) / threads as f64,
+            seconds: (leaves as f64 * of_leaf.seconds + rows.seconds) * shared / threads as f64,
         };
         Self { estimate, budget, cells, costs }
     }
@@ -249,7 +250,7 @@ impl RowsCost {
             points_bytes: points * 36 + flat,
             rows_bytes: points * 12 + flat,
             pack_bytes: stored_bytes.saturating_mul(pack) / raw_bytes.max(1),
-            seconds: points as f64 * directions as f64 * sample.seconds,
+            seconds: rows * sample.seconds,
         }
     }
 }

@@ -2,7 +2,8 @@
 //! will take. How well a surface compresses follows from its textures, its normals and its roughness, which no count
 //! tells.
 //!
-//! Pieces are chosen by a fixed sequence, so that an estimate is the same each time but for its seconds.
+//! Pieces are chosen by a fixed sequence, so that an estimate is the same each time but for its seconds. These are taken
+//! when caches are warm, as they are while the work goes on.
 
 use crate::appearance::Appearance;
 use crate::octree::{self, Brick, Bricks, brick_fragments, cell_of_morton};
@@ -16,6 +17,8 @@ use crate::triangles::{Cutouts, LatticeTriangles};
 use glam::DVec3;
 use manyview_cache::archive::{CompressedChunk, DEFAULT_LEVEL};
 use manyview_shaders::directions::{GroupedBoxes, ROW_LATTICE, RowLattice};
+use manyview_shaders::rotate::{SpreadPoints, rotate_points};
+use manyview_shaders::svo::SvoLevel;
 use std::ops::Range;
 use std::time::Instant;
 
@@ -24,7 +27,7 @@ use std::time::Instant;
 pub(crate) struct Sample {
     /// Bytes of the archive for each leaf, or for each row.
     pub(crate) bytes: f64,
-    /// Seconds of one thread for each leaf, or for each point in each direction.
+    /// Seconds of one thread for each leaf, or for each row.
     pub(crate) seconds: f64,
 }
 
@@ -38,6 +41,26 @@ const WINDOWS: u32 = 4;
 const WINDOW: u32 = 16;
 /// Pieces are left out where more triangles than this would be looked at for all of them.
 const MOST_TRIANGLES: usize = 1 << 21;
+
+/// log2 of the points that are rotated to see how long one takes.
+const POINT_BITS: u32 = 15;
+
+/// Seconds of some work that all threads do at the same time, as they share memory and cores: of three times each, the
+/// middle one. `room` makes what a thread works in.
+fn warm_seconds<R, T>(room: impl Fn() -> R + Sync, work: impl Fn(&mut R) -> T + Sync) -> f64 {
+    let of_thread = || {
+        let mut room = room();
+        let mut seconds = [(); 3].map(|()| {
+            let clock = Instant::now();
+            std::hint::black_box(work(&mut room));
+            clock.elapsed().as_secs_f64()
+        });
+        seconds.sort_by(f64::total_cmp);
+        seconds[1]
+    };
+    let seconds = rayon::broadcast(|_| of_thread());
+    seconds.iter().sum::<f64>() / seconds.len() as f64
+}
 
 /// Numbers that look random, the same each time.
 fn scattered(index: u64) -> u64 {
@@ -153,17 +176,23 @@ pub(crate) fn octree(
         let snap = |p: DVec3| grid.cube.snap(grid.grid, p.to_array());
         let triangles = LatticeTriangles::of_pieces(scene, &cutouts, &pieces, snap);
         let bricks = Bricks::within(grid.grid, bits, [*piece; 2], &triangles.triangles);
-        let clock = Instant::now();
-        for i in 0..bricks.len() {
-            let (code, clip, members) = bricks.brick(i);
-            let fragments = brick_fragments(grid.grid, &clip, &triangles, &cutouts, &members);
-            let Some(brick) = Brick::new(code, bits, fragments, &members, &triangles, &appearance) else {
-                continue;
+        let make = || -> Vec<SvoLevel> {
+            let make = |i| {
+                let (code, clip, members) = bricks.brick(i);
+                let fragments = brick_fragments(grid.grid, &clip, &triangles, &cutouts, &members);
+                Brick::new(code, bits, fragments, &members, &triangles, &appearance)
             };
-            let made = octree::join(bits, bits, vec![brick]);
-            leaves += made.last().map_or(0, |level| level.colors.len());
+            (0..bricks.len())
+                .filter_map(make)
+                .flat_map(|brick| octree::join(bits, bits, vec![brick]))
+                .collect()
+        };
+        seconds += warm_seconds(|| (), |()| make());
+        let made = make();
+        for levels in made.chunks(bits as usize + 1) {
+            leaves += levels.last().map_or(0, |level| level.colors.len());
             // Three levels are nearly all of it.
-            let fine = made.iter().rev().take(3).flat_map(crate::regions::byte_planes);
+            let fine = levels.iter().rev().take(3).flat_map(crate::regions::byte_planes);
             for (index, plane) in fine.enumerate() {
                 if planes.len() <= index {
                     planes.push(Vec::new());
@@ -171,16 +200,15 @@ pub(crate) fn octree(
                 planes[index].extend(plane);
             }
         }
-        seconds += clock.elapsed().as_secs_f64();
     }
-    let clock = Instant::now();
     let stored = |plane: &Vec<u8>| match plane.is_empty() {
         true => 0,
         false => CompressedChunk::compress(plane, DEFAULT_LEVEL).stored().len(),
     };
-    let bytes: usize = planes.iter().map(stored).sum();
+    let compress = || planes.iter().map(stored).sum::<usize>();
+    let bytes = compress();
     let leaves_f = leaves as f64;
-    seconds += clock.elapsed().as_secs_f64();
+    seconds += warm_seconds(|| (), |()| compress());
     (leaves > 0).then(|| Sample { bytes: bytes as f64 / leaves_f, seconds: seconds / leaves_f })
 }
 
@@ -262,23 +290,33 @@ pub(crate) fn rows(
     }
     if count == 0 {
         // Every window is full of triangles: they are no more than a row of bits each.
-        made = (0..1 << 14).map(|k| scattered(k) as u32).collect();
-        count = 1;
+        made.iter_mut().zip(0..).for_each(|(word, k)| *word = scattered(k) as u32);
+        count = WINDOWS * WINDOWS;
     }
-    let stored = CompressedChunk::compress_rows(bytemuck::cast_slice(&made), 1 << (bits - 3)).stored().len();
-    let rows = f64::from(window * window) * f64::from(count.max(1));
-    // Points into one direction, far more of them than are needed to see how long one takes.
-    let clock = Instant::now();
-    let count = points.clamp(1 << 12, 1 << 15) as usize;
-    let random = |k: usize| {
-        let x = scattered(k as u64);
-        [x, x >> 16, x >> 32]
-            .map(|c| ((c & 0x7fff) as i32 - ROW_LATTICE).clamp(-ROW_LATTICE, ROW_LATTICE) as i16)
-    };
-    let spread = manyview_shaders::rotate::SpreadPoints::new(&(0..count).map(random).collect::<Vec<_>>());
-    let mut room = vec![0u32; side as usize * side as usize * words];
-    if let Some((frame, _)) = windows.first() {
-        manyview_shaders::rotate::rotate_points(frame, bits, &spread, &mut room);
+    // As often side by side as there is room.
+    let across = WINDOWS * window;
+    for line in made.chunks_exact_mut(side as usize * words) {
+        let (first, others) = line.split_at_mut(across as usize * words);
+        others.chunks_mut(first.len()).for_each(|other| other.copy_from_slice(&first[..other.len()]));
     }
-    Sample { bytes: stored as f64 / rows, seconds: clock.elapsed().as_secs_f64() / count as f64 }
+    let compress =
+        || CompressedChunk::compress_rows(bytemuck::cast_slice(&made), 1 << (bits - 3)).stored().len();
+    let rows = f64::from(window * window * count) * f64::from(side) / f64::from(across);
+    let compressing = warm_seconds(|| (), |()| compress());
+    // Points of a slanted plane, as far from each other as the surface's and in the same order.
+    let points_bits = point_bits(options);
+    let patch = (0..1u32 << POINT_BITS.min(2 * points_bits - 1)).map(|code| {
+        let [x, y] = [0, 1].map(|axis| (0..16).fold(0, |c, bit| c | (code >> (2 * bit + axis) & 1) << bit));
+        [x, y, (x + y) / 2].map(|c| ((c << (15 - points_bits)) as i32 - ROW_LATTICE) as i16)
+    });
+    let spread = SpreadPoints::new(&patch.collect::<Vec<_>>());
+    let room = || vec![0u32; side as usize * side as usize * words];
+    let rotating = warm_seconds(room, |room| {
+        windows.iter().for_each(|(frame, _)| rotate_points(frame, bits, &spread, room));
+    });
+    let clearing = warm_seconds(room, |room| room.fill(0));
+    let of_point = rotating / (windows.len() * spread.len()) as f64;
+    let of_direction = clearing + of_point * points as f64;
+    let seconds = compressing / rows + of_direction / f64::from(side * side);
+    Sample { bytes: compress() as f64 / rows, seconds }
 }
