@@ -32,7 +32,7 @@
 //!
 //! Within a level nodes are in Morton order, and the children of a node from bit 0 to bit 7. No mask is zero, so that bit
 //! 7 is not coded where the others are zero. Each part ends with the four bytes that bring the decoder to zero: anything
-//! else than what [`encode`] makes is refused.
+//! else than what the encoder makes is refused.
 
 use super::error::{ArchiveError, corrupt};
 
