@@ -47,6 +47,8 @@ pub struct BakeOptions {
     pub cube: Option<SceneCube>,
     /// Most memory that the bake may plan to use.
     pub max_memory_bytes: u64,
+    /// Of it, what the process holds before the bake begins, such as a GPU's driver; 0 for what a program usually does.
+    pub held_bytes: u64,
 }
 
 impl Default for BakeOptions {
@@ -63,6 +65,7 @@ impl Default for BakeOptions {
             voxels_from: VoxelsFrom::Raster,
             cube: None,
             max_memory_bytes: 8 << 30,
+            held_bytes: 0,
         }
     }
 }
@@ -289,7 +292,8 @@ pub(crate) fn bake_placed<W: Write + Seek + Send>(
 ) -> Result<BakeReport, BakeError> {
     let Placement { info, cube, runs, read_bytes } = placement;
     let cube = *cube;
-    let Plan { estimate, budget, cells, costs } = Plan::new(scene, options, runs, cube, *read_bytes);
+    let Plan { estimate, budget, cells, costs } =
+        Plan::new(scene, options, runs, cube, *read_bytes, steps.has_store());
     progress.estimate(&estimate);
     if estimate.least_bytes > options.max_memory_bytes {
         return Err(BakeError::OverBudget {

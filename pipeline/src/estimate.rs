@@ -65,6 +65,8 @@ const SPOOL_BYTES: u64 = 512 * MIB;
 /// The program and what each thread keeps: compressors, and buffers of the size of a chunk.
 const PROGRAM_BYTES: u64 = 14 * MIB;
 const THREAD_BYTES: u64 = 6 * MIB;
+/// Results on their way to the store, and its lists.
+const STORE_BYTES: u64 = 16 * MIB;
 /// What a leaf takes where no piece of the octree was made.
 const USUAL_LEAF: sample::Sample = sample::Sample { bytes: 4.0, seconds: 0.5e-6 };
 /// Pieces compress worse than what they are pieces of, and overlap less.
@@ -144,13 +146,14 @@ pub(crate) struct Plan {
 
 impl Plan {
     /// Counts, and cuts the work so that it fits the limit if it can.
-    /// `read_bytes` were in memory while the scene was imported.
+    /// `read_bytes` were in memory while the scene was imported; a `has_store` bake keeps the results of its steps.
     pub(crate) fn new(
         scene: &Scene,
         options: &BakeOptions,
         runs: &Runs,
         cube: SceneCube,
         read_bytes: u64,
+        has_store: bool,
     ) -> Self {
         let grid = RegionGrid { cube, grid: Grid::new(options.levels) };
         let cells = grid.cells(scene, runs).cells;
@@ -164,7 +167,8 @@ impl Plan {
         let of_leaf = sample::octree(scene, runs, grid, &cells, &costs).unwrap_or(USUAL_LEAF);
         let octree_bytes = whole(leaves as f64 * of_leaf.bytes * LARGE_LEAVES);
         let entries: u64 = cells.iter().map(|cell| cell.runs.len() as u64).sum();
-        let fixed = PROGRAM_BYTES
+        let program = options.held_bytes.max(PROGRAM_BYTES) + if has_store { STORE_BYTES } else { 0 };
+        let fixed = program
             + threads * THREAD_BYTES
             + bytes.scene
             + (runs.runs.len() * size_of::<Run>()) as u64
@@ -194,7 +198,7 @@ impl Plan {
         let octree = bytes.looks + making + waiting;
         let points = rows.points_bytes + bytes.cutouts + waiting;
         let writing = rows.rows_bytes + rows_packs as u64 * pack_bytes * 2;
-        let importing = PROGRAM_BYTES + bytes.scene + read_bytes;
+        let importing = program + bytes.scene + read_bytes;
         let peak_bytes = (fixed + octree.max(points).max(writing)).max(importing);
         let least = fixed + (bytes.looks + coarse + largest).max(rows_least + coarse);
         let least_bytes = least / PLANNED_PERCENT * 100;
@@ -275,7 +279,7 @@ mod tests {
         };
         let options = BakeOptions { levels: 5, rows: None, max_memory_bytes, ..BakeOptions::default() };
         let cube = SceneCube { origin: [0.0; 3], size: 32.0 };
-        Plan::new(&scene, &options, &Runs::new(&scene), cube, 0)
+        Plan::new(&scene, &options, &Runs::new(&scene), cube, 0, false)
     }
 
     const FLAT: [[f32; 3]; 4] = [[0.0, 5.0, 0.0], [32.0, 5.0, 0.0], [32.0, 5.0, 32.0], [0.0, 5.0, 32.0]];

@@ -290,7 +290,9 @@ impl Bake {
             let (scene, sources) = self.load()?;
             let files = self.paths(sources.iter().map(|file| file.path.as_str()));
             let placement = Placement::new(&scene, &self.options).map_err(|e| self.failed(e))?;
-            let plan = Plan::new(&scene, &self.options, &placement.runs, placement.cube, file_bytes(&files));
+            let Placement { runs, cube, .. } = &placement;
+            let has_store = self.store.is_some();
+            let plan = Plan::new(&scene, &self.options, runs, *cube, file_bytes(&files), has_store);
             Ok((plan.estimate, scene.warnings))
         })
     }

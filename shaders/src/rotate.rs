@@ -126,7 +126,9 @@ mod tests {
     fn every_kernel_sets_the_same_bits() {
         let lattice = RowLattice::new([-3.0, 0.0, -5.0], [3.0, 4.0, 5.0]);
         let set = DirectionSet::LatLong { thetas: 4, phis: 5 };
-        for count in [0, 1, 63, 64, 65, 4096, 4097, 9000] {
+        // Miri takes milliseconds a point.
+        let counts: &[usize] = if cfg!(miri) { &[0, 1, 65] } else { &[0, 1, 63, 64, 65, 4096, 4097, 9000] };
+        for &count in counts {
             let points = points(count);
             let spread = SpreadPoints::new(&points);
             assert_eq!((spread.len(), spread.is_empty()), (count, count == 0));

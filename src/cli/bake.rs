@@ -208,7 +208,7 @@ fn bake_once(options: &Options, inputs: &mut Vec<PathBuf>) -> Result<(), CliErro
     let store = options.cache.open(|warning| warn(options.format, &[warning]))?;
     bake.store.clone_from(&store);
     let progress = Progress::new(options.format, cancel::watch());
-    let result = bake_or_reuse(options, &bake, &progress);
+    let result = bake_or_reuse(options, &mut bake, &progress);
     progress.finish();
     if let Some(store) = &store {
         warn(options.format, &store.take_warnings());
@@ -226,7 +226,11 @@ fn bake_once(options: &Options, inputs: &mut Vec<PathBuf>) -> Result<(), CliErro
 }
 
 /// The summary, and the name of what baked.
-fn bake_or_reuse(options: &Options, bake: &Bake, progress: &Progress) -> Result<(Summary, String), CliError> {
+fn bake_or_reuse(
+    options: &Options,
+    bake: &mut Bake,
+    progress: &Progress,
+) -> Result<(Summary, String), CliError> {
     // Opening a GPU takes longer than to see that there is nothing to do.
     if let Some(summary) = bake.up_to_date()? {
         bake.touch_output();
@@ -238,7 +242,8 @@ fn bake_or_reuse(options: &Options, bake: &Bake, progress: &Progress) -> Result<
     if options.explain {
         explain::tell(options.format, &bake.explain()?);
     }
-    let device = open_device(options.backend, options.voxels_from)?;
+    let device = open_device(options.backend, options.voxels_from, options.max_memory)?;
+    bake.options.held_bytes = status_bytes("VmRSS:").unwrap_or(0);
     let device = device.as_deref();
     let backend = device.map_or_else(|| "cpu".to_owned(), VoxelDevice::name);
     Ok((bake.run_on(device, progress)?, backend))
@@ -345,10 +350,15 @@ fn make_recipe_folder(recipe: &Recipe, output: &Path) -> Result<(), CliError> {
     }
 }
 
+/// Drivers take up to about this when they are asked for their GPUs, also those that turn out to have none: with a smaller
+/// limit nobody asks.
+const DRIVERS_BYTES: u64 = 256 << 20;
+
 /// What to bake on, unless it is the bake's own code for the CPU.
 fn open_device(
     backend: Backend,
     voxels_from: VoxelsFromName,
+    max_memory_bytes: u64,
 ) -> Result<Option<Box<dyn VoxelDevice>>, CliError> {
     let gpu = || GpuDevice::open(&AdapterChoice::from_env());
     match backend {
@@ -358,7 +368,10 @@ fn open_device(
                 "{error}; --backend cpu gives the same archive without a GPU"
             ))),
         },
-        Backend::Auto if let Some(gpu) = gpu().ok().filter(|gpu| !gpu.context().is_software()) => {
+        Backend::Auto
+            if max_memory_bytes >= DRIVERS_BYTES
+                && let Some(gpu) = gpu().ok().filter(|gpu| !gpu.context().is_software()) =>
+        {
             Ok(Some(Box::new(gpu)))
         }
         // Peeling has no fast form on the CPU: it is there to be compared with.
@@ -457,8 +470,12 @@ pub(crate) fn steps_json(steps: &StepCounts) -> serde_json::Value {
 
 /// The most memory this process has had, where the system tells.
 fn peak_memory_bytes() -> Option<u64> {
+    status_bytes("VmHWM:")
+}
+
+fn status_bytes(key: &str) -> Option<u64> {
     let status = fs_err::read_to_string("/proc/self/status").ok()?;
-    let line = status.lines().find(|line| line.starts_with("VmHWM:"))?;
+    let line = status.lines().find(|line| line.starts_with(key))?;
     let kib: u64 = line.split_whitespace().nth(1)?.parse().ok()?;
     Some(kib << 10)
 }
