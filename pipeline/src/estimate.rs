@@ -73,7 +73,7 @@ const USUAL_LEAF: sample::Sample = sample::Sample { bytes: 4.0, seconds: 0.5e-6 
 const LARGE_LEAVES: f64 = 0.75;
 const LARGE_ROWS: f64 = 0.88;
 /// Threads wait for each other, for memory and for the disk: what all of them take, over what each takes of the pieces.
-const SHARED_SECONDS: f64 = 1.25;
+const SHARED_SECONDS: f64 = 1.1;
 /// Of the limit, what is planned for; allocators keep some of what is given back.
 const PLANNED_PERCENT: u64 = 85;
 
